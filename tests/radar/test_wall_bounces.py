@@ -136,6 +136,18 @@ def test_a_floor_turns_the_climb_back():
     assert with_floor - without == pytest.approx(apart, rel=0.05)
 
 
+def test_below_its_floor_a_wall_is_its_own_image():
+    """However far it goes on behind the floor."""
+    spec, rolled = radar(), radar("horizontal").but(antenna_offset_m=1.0)
+    tank, image = scenes.tank(1.5, 2.0, "pec", strips=96), wall(1.5, 3.0)
+    floor = only(tank, tank.face_object == 0)
+    floor = replace(floor, vertices=floor.vertices + np.array([0, 0, 0.5]))
+    image = replace(image, vertices=image.vertices - [0, 0, 1.0])
+    with_floor, without = (walls(world, at(0.5, 0.2, 1.0), spec, 3) for world in (Scene.union([wall(), floor]), wall()))
+    apart = walls(image, at(0.5, 0.2, 0.5, roll_deg=90), rolled)
+    assert with_floor - without == pytest.approx(apart, rel=0.05)
+
+
 def test_what_is_not_there_mirrors_nothing_and_what_stands_between_hides():
     """Iterated physical optics without the near end of the diameter, 1.2 m of it, keeps 12 dB less of a pulse."""
     scene, pose = wall(), at(0.5, 0.0, 1.0)

@@ -214,7 +214,8 @@ def _sampled(lines: Lines, radius: float, wave: float, there: Bools) -> tuple[Lo
 def _paths(lines: Lines, wall: Quadric, body: Quadric, turn: Turn, wanted_lines: Longs) -> ReflectedPaths:
     """Return some geometric paths (n), reflected at a plane if there is one."""
     plane, end = turn or (None, 0)
-    reflectors = reflectors_in(wall, (body,), plane, goes_on=bool(lines.walls[-end]))
+    above = plane is None or wall.local(lines.corners[-1 if end == 0 else 0, 0])[2] > plane.level
+    reflectors = reflectors_in(wall, (body,), plane, above=above, goes_on=bool(lines.walls[-end]))
     on = np.repeat(np.where(lines.walls, 0, 1)[:, None], len(wanted_lines), 1)
     path = ReflectedPaths(lines.corners[:, wanted_lines], lines.normals[:, wanted_lines], on,
                           lines.bends[:, wanted_lines], reflectors, np.ones(len(wanted_lines), bool))  # fmt: skip

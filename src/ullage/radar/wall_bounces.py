@@ -86,19 +86,19 @@ class Plane:
 
 
 def reflectors_in(
-    wall: Quadric, bodies: tuple[Quadric, ...], plane: Plane | None, *, goes_on: bool = True
+    wall: Quadric, bodies: tuple[Quadric, ...], plane: Plane | None, *, above: bool = True, goes_on: bool = True
 ) -> ReflectorSet:
-    """Return a wall, bodies in it and last a plane across its axis as reflectors.
+    """Return a wall, bodies in it and last a plane across its axis, with the radar above or below, as reflectors.
 
-    Past an end on the plane the wall goes on as its own image.
+    At the plane the wall ends, or goes on as its own image.
     """
     found = bodies_of((wall, *bodies))
     if plane is None:
         return found
-    extents = found.surfaces.extents.copy()
-    for k, end in enumerate((wall.low, wall.high)):
-        if goes_on and abs(end - plane.level) < SAME_M:
-            extents[0, k] = np.copysign(np.inf, k - 0.5)
+    ends, extents = np.array([wall.low, wall.high]), found.surfaces.extents.copy()
+    near, far = (0, 1) if above else (1, 0)
+    ends[near] = 2 * plane.level - ends[far] if goes_on else plane.level
+    extents[0] = ends - (wall.low + wall.high) / 2
     found = replace(found, surfaces=found.surfaces._replace(extents=extents))
     axis = wall.axes[2:]
     return joined([found, plane_set(wall.centre + plane.level * axis, axis, np.zeros((1, 2)),
@@ -274,7 +274,8 @@ def _over(
     if length.min(initial=np.inf) > 2 * context.gate[1]:
         return None
     sampled = fan.some()
-    path = _climb(wall, sampled, begin, end, reflectors_in(wall, (), plane))
+    above = plane is None or wall.local(end)[2] > plane.level
+    path = _climb(wall, sampled, begin, end, reflectors_in(wall, (), plane, above=above))
     if plane is not None:
         path = path.folded(len(path.reflectors) - 1, np.ones(path.on.shape, bool))
     seen = end_factors(path, wavelength)
