@@ -108,7 +108,7 @@ def reflection_gains(context: RadarContext, antennas: AntennaPair, path: Reflect
     """Compute the products (n) of antenna gains and reflections; the pattern is interpolated, to 3e-4."""
     out = np.empty(len(path.there), complex)
     corners, normals = (np.ascontiguousarray(row) for row in (path.corners, path.normals))
-    paths = kernel.ReflectedPaths(corners, normals, path.reflectors.object_ids[path.on])
+    paths = kernel.ReflectedPaths(corners, normals, np.ascontiguousarray(path.reflectors.object_ids[path.on]))
     scratch = kernel.FieldScratch(np.empty((2, 3)), np.empty(3, complex))
     kernel.polarised(paths, context.bounce, context.antennas(antennas), scratch, out)
     return out
