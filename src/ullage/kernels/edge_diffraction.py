@@ -42,7 +42,7 @@ class EdgeLines(NamedTuple):
     starts: Floats  # (w, 3) [m]
     ends: Floats  # (w, 3) [m]
     lit: Bools  # (w) which of them can return anything
-    factors: Floats  # (w) strength over that of an edge by itself
+    factors: Floats  # (w) strength over that of an edge by itself, at most
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
@@ -205,12 +205,15 @@ def audible(edges: EdgeLines, across, antennas: Antennas, wave, gate, least, t, 
         gate: (2) least and greatest range [m].
         least: path gain amplitude.
         t: (3), scratch.
-        out: (w) gets the answer.
+        out: (w) gets their rows.
+
+    Returns:
+        How many there are.
     """
+    count = 0
     starts, ends, origins, fields = edges.starts, edges.ends, antennas.origins, antennas.fields
     ex, ey, ez = fields[0, 0, 0], fields[0, 0, 1], fields[0, 0, 2]
     for w in range(len(starts)):
-        out[w] = False
         if not edges.lit[w]:
             continue
         size = 0.0
@@ -240,7 +243,10 @@ def audible(edges: EdgeLines, across, antennas: Antennas, wave, gate, least, t, 
             along = ex * x + ey * y + ez * z
             along *= along / max(x * x + y * y + z * z, 1e-9)
             strong *= most * most / max(1 - along, 0.05)
-        out[w] = 1.5 * edges.factors[w] * strong > least
+        if 1.5 * edges.factors[w] * strong > least:
+            out[count] = w
+            count += 1
+    return count
 
 
 @lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")

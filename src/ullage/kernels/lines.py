@@ -9,7 +9,7 @@ import numpy as np
 
 from ullage.arrays import Bools, Floats, Ints
 from ullage.kernels.edges import FAR
-from ullage.kernels.loops import core, inner, loop
+from ullage.kernels.loops import core, inner, lean, loop
 
 C0 = 299_792_458.0
 
@@ -131,3 +131,38 @@ def part(starts, ends, origins, gate, wave, out: PartedLines):  # type: ignore[n
             holders[at], sides[at] = w, far if step > 1 else -1
             at += 1
     return at
+
+
+@lean(nogil=True, error_model="numpy")
+def tie(owner, begin, tips, holders, sides, ties):  # type: ignore[no-untyped-def]
+    """Find the piece that goes on from each end, and leave out ends of parts of which nothing was cut.
+
+    Args:
+        owner: (m) line of each piece, rising; pieces of a line come from its end to its start.
+        begin: (w + 1) gets the first piece of each line.
+        tips: (n, 2, 3) ends as `part` gives them; those kept move to the front, as do `holders` and `sides`.
+        holders: (n) line of each.
+        sides: (n) as `part` gives them.
+        ties: (n) gets the piece that goes on from each end kept, -1 for none.
+
+    Returns:
+        How many ends are kept.
+    """
+    at = 0
+    for w in range(len(begin)):
+        while at < len(owner) and owner[at] < w:
+            at += 1
+        begin[w] = at
+    count = 0
+    for i in range(len(tips)):
+        w, on = holders[i], -1
+        if sides[i] >= 0:
+            if begin[w] == begin[w + 1]:
+                continue
+            on = begin[w + 1] - 1 if sides[i] == 0 else begin[w]
+        for j in range(2):
+            for k in range(3):
+                tips[count, j, k] = tips[i, j, k]
+        holders[count], sides[count], ties[count] = w, sides[i], on
+        count += 1
+    return count

@@ -312,7 +312,7 @@ def crossings(patches, windings, normals, offsets, origins, limits, points):  # 
 
 @lean(by_fields=True, nogil=True, error_model="numpy")
 def look_about(points, which, faces: FaceOutlines, across, zone, wavelength, spots: Spots, within):  # type: ignore[no-untyped-def]
-    """Find places in the first Fresnel zones of mirror points.
+    """Find the places about mirror points that lie on their faces.
 
     Args:
         points: (k, 9) mirror points, as `crossings` gives them.
@@ -321,8 +321,11 @@ def look_about(points, which, faces: FaceOutlines, across, zone, wavelength, spo
         across: (p, 2, 3) unit vectors in the faces, at right angles.
         zone: (z, 2) places over the zone's radius, the first in its middle.
         wavelength: [m].
-        spots: `Spots` (k z), written.
-        within: (k, z) gets which of them lie on their faces: those in the middle do.
+        spots: `Spots` (k z or fewer), written in order.
+        within: (k, z) gets which places lie on their faces: those in the middle do.
+
+    Returns:
+        How many places there are.
     """
     row = 0
     for i in range(len(points)):
@@ -333,31 +336,37 @@ def look_about(points, which, faces: FaceOutlines, across, zone, wavelength, spo
                 spots.places[row, k] = points[i, k] + radius * away
             spots.faces[row] = p
             within[i, j] = j == 0 or held(spots.places[row], p, faces.normals, faces.first, faces.starts, faces.ends)
-            row += 1
+            if within[i, j]:
+                row += 1
+    return row
 
 
 @lean(by_fields=True, nogil=True, error_model="numpy")
-def through_sheets(transmission, extra, within, inner, between: Transmission, bordered):  # type: ignore[no-untyped-def]
+def through_sheets(transmission, extra, within, inner, between: Transmission, lit, bordered):  # type: ignore[no-untyped-def]
     """Average what sheets let through over the lit places about mirror points, and find those near shadow borders.
 
     Args:
-        transmission: (k, z) complex factor of what stands before each place, 0 where it is hidden.
-        extra: (k, z) delay [s].
+        transmission: (n) complex factor of what stands before the places on faces, in order; 0 where one is hidden.
+        extra: (n) delay [s].
         within: (k, z) whether each place lies on its face.
         inner: how many of the places count; those farther off count where none of these is lit.
         between: `facets.Transmission` (k), written.
+        lit: (k) gets whether the mirror points are lit.
         bordered: (k) gets whether some places are lit and others hidden.
     """
+    row = 0
     for i in range(len(within)):
+        lit[i] = transmission[row] != 0
         factor, late, count, dark, near = 0j, 0.0, 0, False, False
         for j in range(within.shape[1]):
             if not within[i, j]:
                 continue
-            if transmission[i, j] == 0:
+            if transmission[row] == 0:
                 dark = True
             elif j < inner or not near:
-                factor, late, count = factor + transmission[i, j], late + extra[i, j], count + 1
+                factor, late, count = factor + transmission[row], late + extra[row], count + 1
                 near = j < inner
+            row += 1
         between.factor[i], between.delay_s[i] = factor / max(count, 1), late / max(count, 1)
         bordered[i] = dark and count > 0
 

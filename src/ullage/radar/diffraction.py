@@ -144,22 +144,17 @@ def placed(edges: Edges, poses: Floats | None) -> Edges:
     return replace(edges, starts=starts, ends=ends, inward=inward, normals=normals)
 
 
-def facing(edges: Edges, transmissive: Bools, origin: Floats) -> Bools:
-    """Which edges (w) have the point (3) in their open side; of a thin body, over its wide face."""
-    lit = np.einsum("nfi,ni->nf", edges.normals, origin - edges.starts) > 0
-    return np.asarray(lit[:, 0] | (lit[:, 1] & ~transmissive))
-
-
-def outward(edges: Edges, which: Ints | Longs) -> Floats:
-    """Unit vectors (n, 3) from some of the edges into the middle of their open sides."""
-    return np.asarray(_outward(edges)[which])
+@lru_cache(maxsize=8)
+def outward(edges: Edges) -> Floats:
+    """Unit vectors (w, 3) from edges into the middle of their open sides."""
+    half = (edges.angles * np.pi / 2)[:, None]
+    return np.asarray(np.cos(half) * edges.inward[:, 0] + np.sin(half) * edges.normals[:, 0])
 
 
 @lru_cache(maxsize=8)
-def _outward(edges: Edges) -> Floats:
-    """Those of all edges (w, 3)."""
-    half = (edges.angles * np.pi / 2)[:, None]
-    return np.asarray(np.cos(half) * edges.inward[:, 0] + np.sin(half) * edges.normals[:, 0])
+def equal_factors(edges: Edges) -> Floats:
+    """Factors (w) of 1 for the strengths of edges."""
+    return np.ones(len(edges))
 
 
 def _none() -> Edges:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -182,3 +183,9 @@ def placed(pairs: Pairs, poses: Floats | None) -> Pairs:
         (pairs.gaps, pairs.inward[:, 0], pairs.inward[:, 1], pairs.normals), pairs.object_ids, poses, turn_only=True
     )
     return replace(pairs, starts=starts, ends=ends, gaps=gaps, inward=np.stack([one, two], 1), normals=normals)
+
+
+@lru_cache(maxsize=8)
+def halfway(pairs: Pairs) -> tuple[Floats, Floats]:
+    """Starts and ends (p, 3) of the lines halfway between the edges of each pair [m]."""
+    return np.asarray(pairs.starts + pairs.gaps / 2), np.asarray(pairs.ends + pairs.gaps / 2)

@@ -10,6 +10,7 @@ from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import corner_diffraction as corner_kernel
 from ullage.kernels import double_edge_diffraction, edge_diffraction, lines
+from ullage.kernels import edge_places as looks
 from ullage.kernels import wires as string
 from ullage.kernels.facets import EchoSums, Transmission
 from ullage.radar import corner_diffraction as corner
@@ -31,42 +32,63 @@ def accumulate_edges(
 ) -> list[EchoSet]:
     """Adds the echoes of conducting edges at one pose to the delay grids; `poses` (o, 4, 4) of objects if any moves."""
     edges, pairs = diffraction.placed(context.outlines.edges, poses), double.placed(context.outlines.pairs, poses)
-    centre = (antennas.origins[0] + antennas.origins[1]) / 2
-    lit = diffraction.facing(edges, context.outlines.transmissive, centre)
-    alone = _parted(
-        context, antennas, edges.starts, edges.ends, _heard(context, antennas, edges.starts, edges.ends, lit)
+    corners, place = _corners(context, poses), 0.5 * (antennas.origins[0] + antennas.origins[1])
+    alone = _alone(context, antennas, edges, place)
+    over = _over(context, antennas, pairs, place)
+    met = _corners_heard(context, antennas, corners)
+    many, ends, across = len(alone.owner), len(alone.holders), len(over.of)
+    spots = looks.EdgeSpots(np.empty((many + ends + across + len(met), 3)), np.empty(many + ends, np.int64))
+    single = looks.CutEdges(
+        alone.pieces, alone.owner, alone.tips, alone.holders, alone.ties, diffraction.outward(edges)
     )
-    above = np.einsum("ni,ni->n", pairs.normals, centre - pairs.starts)
+    paired = looks.CutPairs(over.pieces, over.of, pairs.normals, over.above)
+    count = looks.look_at(single, paired, corners, met, place, _NUDGE_M, spots)
+    last = count + across
+    factor, late = transmission_to(context, parts, antennas, spots.places[: last + len(met)])
+    beside = Transmission(factor[spots.seats], late[spots.seats])
+    out = [_accumulate_edge_diffraction(context, antennas, edges, alone, beside, grids)]
+    if across:
+        between = Transmission(factor[count:last], late[count:last])
+        out.append(_accumulate_doubles(context, antennas, pairs, over, between, grids))
+    if len(met):
+        out.append(
+            _accumulate_corners(context, antennas, corners, met, Transmission(factor[last:], late[last:]), grids)
+        )
+    return out
+
+
+def _alone(context: RadarContext, antennas: AntennaPair, edges: diffraction.Edges, place: Floats) -> Parted:
+    """Part the edges that are strong enough by themselves, seen from a place (3) [m]."""
+    lit = np.empty(len(edges), np.bool_)
+    looks.facing(looks.EdgeSides(edges.starts, edges.normals, context.outlines.transmissive), place, lit)
+    asked = edge_diffraction.EdgeLines(edges.starts, edges.ends, lit, diffraction.equal_factors(edges))
+    return _parted(context, antennas, edges.starts, edges.ends, _heard(context, antennas, asked, False))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Across:
+    """Pieces of lines halfway between pairs of edges, and of paths that turn at an edge between."""
+
+    pieces: Floats  # (m, 2, 3) [m]
+    of: Ints  # (m) pair of each
+    turns: Bools  # (m) whether the path turns
+    above: Floats  # (p) height of the radar over the face of each pair [m]
+
+
+def _over(context: RadarContext, antennas: AntennaPair, pairs: double.Pairs, place: Floats) -> Across:
+    """Cut the pairs of edges that are strong enough, seen from a place (3) [m]."""
+    above = np.empty(len(pairs))
+    if not len(pairs):
+        return Across(np.zeros((0, 2, 3)), np.zeros(0, np.int32), np.zeros(0, np.bool_), above)
+    looks.heights(pairs.starts, pairs.normals, place, above)
+    starts, ends = double.halfway(pairs)
     lit = (above > 0) | context.outlines.bare
-    starts, ends = pairs.starts + pairs.gaps / 2, pairs.ends + pairs.gaps / 2
-    heard = _heard(context, antennas, starts, ends, lit, context.outlines.strong)
+    heard = _heard(context, antennas, edge_diffraction.EdgeLines(starts, ends, lit, context.outlines.strong), True)
     over, of = _cut(context, antennas, starts[heard], ends[heard], KAPPA)
     of, turns = heard[of].astype(np.int32), np.zeros(len(of), np.bool_)
     if len(of):
         over, of, turns = _with_turns(context, antennas, pairs, heard, over, of)
-    side = np.where(above[of] < 0, -_NUDGE_M, _NUDGE_M)[:, None]
-    outward = diffraction.outward(edges, np.concatenate([alone.owner, alone.holders])) * _NUDGE_M
-    free = alone.ties < 0
-    cut = len(alone.owner)
-    seats = np.concatenate([np.arange(cut), np.where(free, cut - 1 + np.cumsum(free), alone.ties)])
-    corners = _corners(context, poses)
-    met = _corners_heard(context, antennas, corners)
-    sunk = np.einsum("ni,ni->n", corners.normals[met], centre - corners.places[met]) < 0
-    beyond = np.where(sunk, -_NUDGE_M, _NUDGE_M)[:, None] * corners.normals[met]
-    seen = transmission_to(context, parts, antennas, np.concatenate([
-        _middles(alone.pieces) + outward[:cut], alone.tips[free, 0] + outward[cut:][free],
-        _middles(over) + side * pairs.normals[of], corners.places[met] + beyond]))  # fmt: skip
-    count, last = len(seen.factor) - len(of) - len(met), len(seen.factor) - len(met)
-    across = Transmission(seen.factor[count:last], seen.delay_s[count:last])
-    at_corners = Transmission(seen.factor[last:], seen.delay_s[last:])
-    beside = Transmission(seen.factor[seats], seen.delay_s[seats])
-    over -= pairs.gaps[of, None] / 2
-    out = [_accumulate_edge_diffraction(context, antennas, edges, alone, beside, grids)]
-    if len(of):
-        out.append(_accumulate_doubles(context, antennas, pairs, over, of, turns, across, grids))
-    if len(met):
-        out.append(_accumulate_corners(context, antennas, corners, met, at_corners, grids))
-    return out
+    return Across(over, of, turns, above)
 
 
 def _corners(context: RadarContext, poses: Floats | None) -> corner_kernel.Corners:
@@ -130,25 +152,15 @@ class Parted:
     ties: Longs  # (n) piece that goes on from each end, -1 for none
 
 
-def _heard(
-    context: RadarContext,
-    antennas: AntennaPair,
-    starts: Floats,
-    ends: Floats,
-    lit: Bools,
-    factors: Floats | None = None,
-) -> Longs:
-    """Find the lit lines whose echoes are not too faint; `factors` (w) are strengths over that of an edge by itself."""
-    strong = np.ones(len(lit)) if factors is None else factors
-    asked = edge_diffraction.EdgeLines(starts, ends, lit, strong)
-    wave, gate, found = context.pulse.omega / C0, np.array(context.gate), np.zeros(len(lit), np.bool_)
+def _heard(context: RadarContext, antennas: AntennaPair, asked: edge_diffraction.EdgeLines, across: bool) -> Longs:
+    """Find the lit lines whose echoes are not too faint; `across`: only the electric field across them counts."""
+    wave, gate, scratch = context.pulse.omega / C0, np.array(context.gate), np.empty(3)
+    found = []
     for pair in (antennas,) if antennas.monostatic else (antennas, antennas.swapped()):
-        out = np.empty(len(lit), np.bool_)
-        edge_diffraction.audible(
-            asked, factors is not None, context.antennas(pair), wave, gate, FAINT, np.empty(3), out
-        )
-        found |= out
-    return np.flatnonzero(found)
+        out = np.empty(len(asked.lit), np.int64)
+        count = edge_diffraction.audible(asked, across, context.antennas(pair), wave, gate, FAINT, scratch, out)
+        found.append(out[:count])
+    return found[0] if len(found) == 1 else np.union1d(*found)
 
 
 def _cut(
@@ -172,17 +184,13 @@ def _parted(context: RadarContext, antennas: AntennaPair, starts: Floats, ends: 
     out = lines.PartedLines(np.empty((many, 2, 3)), np.empty(many, np.bool_), np.empty((4 * many, 2, 3)),
                             np.empty(4 * many, np.int32), np.empty(4 * many, np.int32))  # fmt: skip
     count = lines.part(starts, ends, antennas.origins, np.array(context.gate), context.pulse.omega / C0, out)
-    tips, holders, sides = out.tips[:count], out.holders[:count], out.sides[:count]
     some = np.flatnonzero(out.held)
     near, far = (np.ascontiguousarray(out.near[some, end]) for end in range(2))
     pieces, owner = _cut(context, antennas, near, far, _COARSE * KAPPA)
-    owner = some[owner].astype(np.int32)
-    # pieces of a line come from its end to its start
-    ties = np.where(sides == 0, np.searchsorted(owner, holders, "right") - 1, np.searchsorted(owner, holders))
-    cut = sides < 0
-    cut |= owner[np.minimum(np.maximum(ties, 0), len(owner) - 1)] == holders if len(owner) else False
-    return Parted(pieces, which[owner].astype(np.int32), tips[cut], which[holders[cut]].astype(np.int32),
-                  np.where(sides < 0, -1, ties)[cut])  # fmt: skip
+    owner, ties = some[owner].astype(np.int32), np.empty(count, np.int64)
+    count = lines.tie(owner, np.empty(many + 1, np.int64), out.tips[:count], out.holders, out.sides, ties)
+    holders = which[out.holders[:count]].astype(np.int32)
+    return Parted(pieces, which[owner].astype(np.int32), out.tips[:count], holders, ties[:count])
 
 
 def _accumulate_edge_diffraction(
@@ -202,21 +210,22 @@ def _accumulate_edge_diffraction(
             pieces, wedges, between, radar, context.pulse_grid, sums, np.empty((4, 3))
         )
 
-    points = np.concatenate([_middles(alone.pieces), alone.tips[:, 0]])
-    return echo_set(put, between, grids, edges.object_ids[owner], points)
+    def places() -> Floats:
+        return np.concatenate([_middles(alone.pieces), alone.tips[:, 0]])
+
+    return echo_set(put, between, grids, edges.object_ids[owner], places)
 
 
 def _accumulate_doubles(
     context: RadarContext,
     antennas: AntennaPair,
     pairs: double.Pairs,
-    pieces: Floats,
-    owner: Ints,
-    turns: Bools,
+    over: Across,
     between: Transmission,
     grids: Complexes,
 ) -> EchoSet:
-    radar, double_pieces = context.antennas(antennas), double_edge_diffraction.PairPieces(pieces, owner, turns)
+    pieces, owner = over.pieces - pairs.gaps[over.of, None] / 2, over.of
+    radar, double_pieces = context.antennas(antennas), double_edge_diffraction.PairPieces(pieces, owner, over.turns)
     faced = double_edge_diffraction.EdgePairs(pairs.gaps, pairs.angles, pairs.inward, pairs.normals,
                                               context.outlines.both, pairs.lengths)  # fmt: skip
 
@@ -225,4 +234,4 @@ def _accumulate_doubles(
             double_pieces, faced, between, radar, context.pulse_grid, sums, np.empty((3, 3))
         )
 
-    return echo_set(put, between, grids, pairs.object_ids[owner], _middles(pieces) + pairs.gaps[owner] / 2)
+    return echo_set(put, between, grids, pairs.object_ids[owner], lambda: _middles(over.pieces))

@@ -89,7 +89,7 @@ def accumulate_planar(
     outline = outlines(context, planar, antennas, which, limits)
 
     casters = [one.casters(context.transmissive.thin)[0] for one in parts]
-    view = OpaqueView(casters, antennas.origins.mean(0))
+    view = OpaqueView(casters, 0.5 * (antennas.origins[0] + antennas.origins[1]))
 
     def to_points(points: Floats, _: NDArray[np.integer]) -> tuple[Complexes, Floats]:
         return transmission_to(context, parts, antennas, points)
@@ -148,10 +148,10 @@ def accumulate_parted(
     )
     points, which = points[:count], which[:count]
     zone = _ZONE if shading.past_borders is None else _WIDE
-    looks, owner, seats, open_ = _looks(context, planar, outline, points, which, zone)
+    looks, owner, seats, open_, looked = _looks(context, planar, outline, points, which, zone)
     transmission, extra = shading.to_points(looks, owner)
     if len(points):
-        about = transmission[len(transmission) - open_.size :], extra[len(extra) - open_.size :], open_
+        about = transmission[looked:], extra[looked:], open_
         if shading.past_borders is None:
             factor, late = _mean(*about)
         else:
@@ -207,26 +207,27 @@ def _looks(
     points: Floats,
     which: Longs,
     zone: Floats,
-) -> tuple[Floats, Longs, Longs, Bools]:
-    """Where to look: pieces and ends of rims, and places of a zone (z, 2) around each mirror point (k z) [m].
+) -> tuple[Floats, Longs, Longs, Bools, int]:
+    """Find where to look: at pieces and ends of rims, and at places of a zone (z, 2) around each mirror point (k).
 
-    Also on which face each look lies, which of the looks each piece and end is seen by, and which places of the zones
-    lie on their faces (k, z).
+    Returns:
+        The places (m, 3) [m]; the face of each; which of them each piece and end is seen by; which places of the zones
+        lie on their faces (k, z); and how many places come before those of zones, of which only these are looked at.
     """
     most, about = len(outline.pieces) + len(outline.tips), len(points) * len(zone)
     spots, faces = np.empty((most + about, 3)), np.empty(most + about, np.int64)
     seats, within = np.empty(most, np.int64), np.empty((len(points), len(zone)), np.bool_)
     count = draw.look_at(outline, planar.normals, _NUDGE_M, draw.Spots(spots, faces), seats)
-    draw.look_about(points, which, face_outlines(planar), planar.across, zone, context.spec.wavelength_m,
-                    draw.Spots(spots[count:], faces[count:]), within)  # fmt: skip
-    return spots[: count + about], faces[: count + about], seats, within
+    rest, wave_m = draw.Spots(spots[count:], faces[count:]), context.spec.wavelength_m
+    made = count + draw.look_about(points, which, face_outlines(planar), planar.across, zone, wave_m, rest, within)
+    return spots[:made], faces[:made], seats, within, count
 
 
 def _mean(transmission: Complexes, extra: Floats, held: Bools) -> tuple[Complexes, Floats]:
-    """Mean factor and delay over the part of each zone that lies on its face."""
+    """Mean factor and delay over the part of each zone that lies on its face, `held` (k, z)."""
     share = held.sum(1)
-    transmission, extra = transmission.reshape(held.shape), extra.reshape(held.shape)
-    return np.einsum("kz,kz->k", transmission, held) / share, np.einsum("kz,kz->k", extra, held) / share
+    first = np.cumsum(share) - share
+    return np.add.reduceat(transmission, first) / share, np.add.reduceat(extra, first) / share
 
 
 def _past_borders(
@@ -238,9 +239,10 @@ def _past_borders(
     shares_of: Callable[[Floats, Longs, Bools], Complexes],
 ) -> tuple[Complexes, Floats]:
     """Factor and delay of mirror points: of the sheets before the lit part of each zone, and of shadow borders."""
-    factor, late, bordered = np.empty(len(held), complex), np.empty(len(held)), np.empty(len(held), np.bool_)
-    transmission = transmission.reshape(held.shape)
-    draw.through_sheets(transmission, extra.reshape(held.shape), held, _INNER, Transmission(factor, late), bordered)
-    if bordered.any():
-        factor[bordered] *= shares_of(points[bordered], which[bordered], transmission[bordered, 0] != 0)
+    factor, late = np.empty(len(held), complex), np.empty(len(held))
+    lit, bordered = np.empty((2, len(held)), np.bool_)
+    draw.through_sheets(transmission, extra, held, _INNER, Transmission(factor, late), lit, bordered)
+    some = np.flatnonzero(bordered)
+    if len(some):
+        factor[some] *= shares_of(points[some], which[some], lit[some])
     return factor, late

@@ -108,10 +108,11 @@ class OpaqueView:
 
     def clear(self, points: Floats) -> Bools:
         """Whether nothing stands before points (n, 3) on surfaces."""
-        out = np.ones(len(points), np.bool_)
+        out = None
         for rays in self.opaque:
-            out &= rays.visible(self.origin, points, slack_m=SLACK_M, leave_m=LEAVE_M)
-        return out
+            open_ = rays.visible(self.origin, points, slack_m=SLACK_M, leave_m=LEAVE_M)
+            out = open_ if out is None else out & open_
+        return np.ones(len(points), np.bool_) if out is None else out
 
     def shadow_ends(self, dark: Floats, lines: ShadowLines) -> ShadowEnds:
         """Find where the shadows that hide dark places (b, 3) on lines (b) stop."""

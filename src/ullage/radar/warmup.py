@@ -42,7 +42,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "curved": ("impulses",),
     "fermat": ("fermat",),
     "chains": ("chains",),
-    "conductors": ("lines", "edge_diffraction", "double_edge_diffraction", "corner_diffraction"),
+    "conductors": ("lines", "edge_diffraction", "edge_places", "double_edge_diffraction", "corner_diffraction"),
 }
 """Kernel modules behind each part of a radar."""
 
