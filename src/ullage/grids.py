@@ -306,26 +306,37 @@ def _cut(values: NDArray[np.int8], edge: int) -> NDArray[np.int8]:
 class MappedSurface:
     """A surface as a mapper estimates it."""
 
-    kind: str  # "plane", "cylinder", "edge", or "slope" where its normal leaves the plane
-    position: Floats  # (2) that the state refers to [m]
-    state: Floats  # (4) range [m], bearing [rad], curvature of the range [1/m] and cosine of the elevation from there
-    covariance: Floats  # (4, 4)
+    kind: str  # "plane", "cylinder", "edge", or in a plane map "slope" where its normal leaves the plane
+    position: Floats  # (d) that the state refers to [m]; d is 2 in a plane map and 3 in a volume
+    state: Floats  # from there; plane: range [m], bearing [rad], curvature of the range [1/m] and cosine of the
+    # elevation (4); volume: range [m], unit vector (3) and curvature (5)
+    covariance: Floats  # (4, 4) or (5, 5)
     log_odds: float  # of its existence
     seen: int  # keyframes that saw it
-    on_map: bool  # False: a slope, hidden behind other surfaces, or flown through
-    points: Floats  # (seen, 2) specular points, which show its extent [m]
-    normals: Floats  # (seen, 2) level unit vectors from there towards the sensor
+    on_map: bool  # False: a slope, of open direction, hidden behind other surfaces, or flown through
+    points: Floats  # (seen, d) specular points, which show its extent [m]
+    normals: Floats  # (seen, d) unit vectors from there towards the sensor
 
     def lines(self, length_m: float, height_m: float) -> Floats:
-        """Return short lines (seen, 2, 3) along the surface, one through each specular point, for pictures [m].
+        """Return short lines (k, 2, 3) along the surface through each specular point, for pictures [m].
+
+        A point has one line in a plane map. In a volume it has two, across each other.
 
         Args:
             length_m: of each line [m].
             height_m: of the plane [m].
         """
-        along = 0.5 * length_m * np.stack([-self.normals[:, 1], self.normals[:, 0]], axis=1)
-        ends = np.stack([self.points - along, self.points + along], axis=1)
-        return np.concatenate([ends, np.full((len(ends), 2, 1), height_m)], axis=2)
+        normals = np.zeros((len(self.normals), 3))
+        normals[:, : self.normals.shape[1]] = self.normals
+        points = np.full((len(self.points), 3), height_m)
+        points[:, : self.points.shape[1]] = self.points
+        steep = np.abs(normals[:, 2:]) > 0.99
+        level = np.cross(np.where(steep, [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]]), normals)
+        level /= np.maximum(np.linalg.norm(level, axis=1, keepdims=True), 1e-12)
+        along = [level] if self.points.shape[1] == 2 else [level, np.cross(normals, level)]
+        half = 0.5 * length_m * np.concatenate(along)
+        middle = np.tile(points, (len(along), 1))
+        return np.stack([middle - half, middle + half], axis=1)
 
 
 class OccupancyMap(Displayed):

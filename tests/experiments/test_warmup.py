@@ -48,6 +48,18 @@ def test_what_joins_legs_of_a_volume_is_compiled_with_the_map(monkeypatch: pytes
     assert met, "a volume would compile it in the middle"
 
 
+def test_all_kernels_of_volumes_by_likelihood_are_compiled_with_the_map() -> None:
+    from ullage.kernels import directed_sums, volume_cells
+
+    next(job for job in JOBS if job.part == "likelihood in volumes").run()
+    entries = (
+        directed_sums.turn_rows_by, directed_sums.refine_direction, directed_sums.subtract_directed,
+        directed_sums.weigh_levels, volume_cells.draw_discs, volume_cells.find_hidden, volume_cells.draw_tubes,
+        volume_cells.find_crossed, volume_cells.count_silence,
+    )  # fmt: skip
+    assert all(entry.signatures for entry in entries), "a volume would compile it in the middle"
+
+
 TOLD = """
 import numpy as np, ullage as ul
 path = ul.Trajectory.line((0, 0, 0), (0, 0.1, 0), 0.5, 5)

@@ -194,11 +194,103 @@ def test_standing_still_adds_nothing_to_a_volume(room):
 
 def test_wrong_frames_are_refused_in_one_line():
     frames = flown(climbing(12), plane([0, 1, 0], 2.0))
-    amplitudes = {name: replace(part, samples=part.amplitude) for name, part in frames.items()}
-    with pytest.raises(ul.InputError, match=r"front: .*needs samples with phase"):
-        mapped(amplitudes)
+    mixed = {**frames, "left": replace(frames["left"], samples=frames["left"].amplitude)}
+    with pytest.raises(ul.InputError, match=r"left: its samples have no phase, but another sensor's have"):
+        mapped(mixed)
     with pytest.raises(ul.InputError, match="does not hold the flight"):
         ul.map_occupancy(frames, ul.Grid.covering([[5, 5, 0], [6, 6, 1]], 0.1, dims=3), method="likelihood")
+    with pytest.raises(ul.InputError, match="floor_z_m"):
+        Mapper(GRID, method="likelihood", floor_z_m=np.nan)
+
+
+def test_surfaces_of_a_room_hold_its_faces(room, tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    from ullage.ports.ply import write_surfaces
+
+    shown = [one for one in room[1].surfaces if one.on_map]
+    for axis in range(3):
+        for sign, side in ((1, HIGH), (-1, LOW)):
+            unit = sign * np.eye(3)[axis]
+            face = max((one for one in shown if one.state[1:4] @ unit > 0.98), key=lambda one: one.log_odds)
+            assert face.kind == "plane"
+            far = face.state[0] + face.position @ face.state[1:4]
+            assert abs(far - sign * side[axis]) < 3 * np.sqrt(face.covariance[0, 0]) + 0.02
+            assert np.all(np.abs(face.points[:, axis] - side[axis]) < 0.05)
+            assert np.all(face.normals @ -unit > 0.98)
+            assert len(face.points) == len(face.normals) == face.seen
+            assert np.linalg.eigvalsh(face.covariance).min() > -1e-12
+    write_surfaces(room[1], tmp_path / "surfaces.ply")
+    cloud = trimesh.load(tmp_path / "surfaces.ply")
+    assert np.allclose(np.sort(cloud.vertices, axis=0), np.sort(np.vstack([one.points for one in shown]), axis=0))
+
+
+def test_lines_of_a_surface_lie_in_it(room):
+    wall = max(room[1].surfaces, key=lambda one: one.log_odds)
+    lines = wall.lines(0.3, 99.0)
+    assert lines.shape == (2 * wall.seen, 2, 3)
+    along = lines[:, 1] - lines[:, 0]
+    assert np.allclose(np.linalg.norm(along, axis=1), 0.3)
+    assert np.allclose(np.sum(along * np.tile(wall.normals, (2, 1)), axis=1), 0, atol=1e-9)
+    assert np.allclose(lines.mean(axis=1), np.tile(wall.points, (2, 1)))
+    assert np.allclose(np.sum(along[: wall.seen] * along[wall.seen :], axis=1), 0, atol=1e-9)
+
+
+def test_a_pole_is_an_edge_and_a_tank_a_cylinder():
+    def pole(at):
+        ray = (np.array([0.9, 1.7, 0]) - at) * [1, 1, 0]
+        far = np.linalg.norm(ray, axis=1)
+        return far, ray / far[:, None], 0.2
+
+    kinds = {}
+    for name, echo in (("pole", pole), ("tank", tank((0.4, -0.3, 0.0), 2.4))):
+        best = max(mapped(flown(crossing(), echo)).surfaces(), key=lambda one: one.log_odds)
+        kinds[name] = best.kind
+    assert kinds == {"pole": "edge", "tank": "cylinder"}
+
+
+def test_amplitudes_without_phase_show_the_faces_of_a_room(room):
+    frames = {name: replace(part, samples=part.amplitude) for name, part in room[0].items()}
+    omap = mapped(frames).map()
+    occupied = centres(omap.occupied)
+    assert np.mean(away_from_room(occupied) < 0.2) > 0.9
+    assert len(occupied) > 0.4 * room[1].occupied.sum()
+
+
+def test_a_known_floor_takes_its_echo_and_is_drawn_where_it_shows():
+    """From a level straight flight nothing else says whether the echo comes from above or below."""
+    path = Trajectory.line((-1.2, 0, 1.2), (1.2, 0, 1.2), 0.5, 8.0)
+    frames = flown(path, plane([0, 0, -1.0], 0.0))
+    unknown, known = (ul.map_occupancy(frames, GRID, method="likelihood", floor_z_m=z) for z in (None, 0.0))
+    assert not unknown.occupied.any()
+    cells = centres(known.occupied)
+    assert len(cells) > 20
+    assert np.all(np.abs(cells[:, 2]) < 0.1)
+
+
+@pytest.mark.parametrize("sigma_m", [0.0, 0.003])
+def test_white_errors_of_the_poses_are_estimated_in_a_volume(sigma_m):
+    some = slice(0, 60)
+    frames = {name: part[some] for name, part in flown(climbing(250), *box_room()).items()}
+    assert mapped(with_errors(frames, sigma_m)).pose_sigma_m == pytest.approx(sigma_m, rel=0.35, abs=3e-4)
+
+
+def test_a_room_is_mapped_with_errors_of_3_mm(room):
+    mapper = mapped(with_errors(flown(climbing(250), *box_room()), 0.003))
+    assert mapper.pose_sigma_m > 0.002
+    occupied = centres(mapper.map().occupied)
+    assert np.mean(away_from_room(occupied) < 0.15) > 0.9
+    assert len(occupied) > 0.5 * room[1].occupied.sum()
+
+
+def with_errors(frames, sigma_m):
+    """The same frames at believed positions with white errors, which all sensors share."""
+    count = len(next(iter(frames.values())))
+    error = np.random.default_rng(5).normal(size=(count, 3)) * sigma_m
+    out = {}
+    for name, part in frames.items():
+        moved = Trajectory(part.t_ns, part.believed.position + error, part.believed.quat_xyzw)
+        out[name] = Frames(part.samples, part.range_m, part.t_ns, part.spec, moved, part.believed, name)
+    return out
 
 
 def test_before_any_frame_a_volume_is_unknown():

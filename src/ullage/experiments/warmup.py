@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -27,10 +28,11 @@ NEEDED = {
         "rolls",
     ),
     "likelihood": ("matched_sums", "surface_cells", "silence"),
+    "likelihood in volumes": ("matched_sums", "directed_sums", "volume_cells"),
     "backprojection": ("backprojection",),
 }
 """Kernel modules behind each part of a run."""
-LATER = ("elfes", "rules", "likelihood", "backprojection")
+LATER = ("elfes", "rules", "likelihood", "likelihood in volumes", "backprojection")
 """Parts that a run can begin without."""
 
 
@@ -43,7 +45,10 @@ def parts_of(scenario: Scenario, scene: Scene | None = None) -> tuple[str, ...]:
     """
     parts = [scenario.flight.vehicle, *radar_parts(scenario.sensing.fidelity, scenario.sensing.max_bounces, scene)]
     method = scenario.map.method
-    parts += [BEST[scenario.map.dims] if method == "ullage" else method] if "map" in scenario.do else []
+    method = BEST[scenario.map.dims] if method == "ullage" else method
+    if method == "likelihood" and scenario.map.dims == 3:
+        method = "likelihood in volumes"
+    parts += [method] if "map" in scenario.do else []
     parts += [scenario.image.method] if "image" in scenario.do else []
     return tuple(part for part in parts if part in NEEDED)
 
@@ -122,12 +127,13 @@ def _join_legs() -> None:
     deque(legs.tell_all(), maxlen=0)
 
 
-def _surfaces() -> None:
+def _surfaces(dims: Literal[2, 3]) -> None:
     from ullage.grids import Grid
-    from ullage.processing.likelihood.mapper import LikelihoodMapper
+    from ullage.processing.likelihood.methods import likelihood_mapper
 
-    mapper = LikelihoodMapper(Grid.covering(np.array([[-1, -1, -1], [3, 1, 1]]), 0.2))
-    mapper.update(_few(0.6))
+    floor_z_m = None if dims == 2 else -2.0  # a volume takes the echo for the floor's, and draws it
+    mapper = likelihood_mapper(Grid.covering(np.array([[-1, -1, -1], [3, 1, 1]]), 0.2, dims=dims), floor_z_m=floor_z_m)
+    mapper.update(_few(0.9))
     mapper.finish()
     mapper.map()
 
@@ -155,7 +161,8 @@ JOBS = (
     *radar.JOBS,
     Job("Elfes' map", "elfes", 0.8, partial(_map, "elfes")),
     Job("map", "rules", 12, partial(_map, "rules")),
-    Job("map of surfaces", "likelihood", 4, _surfaces),
+    Job("map of surfaces", "likelihood", 4, partial(_surfaces, 2)),
+    Job("surfaces in a volume", "likelihood in volumes", 8, partial(_surfaces, 3)),
     Job("images", "backprojection", 1, _image),
 )
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.kernels.loops import inner, loop
-from ullage.kernels.matched_sums import LEAST_GAIN, ROUNDS, SHRINK, STEPS, _delay
+from ullage.kernels.matched_sums import ROUNDS, SHRINK, STEPS, _delay, _fit_at, _turn_rows
 
 
 class Patterns(NamedTuple):
@@ -56,99 +56,28 @@ def _toward(patterns, unit, gain):  # type: ignore[no-untyped-def]
 
 
 @loop(fastmath=True)
-def sum_toward(aperture, patterns, directions, low, high, out):  # type: ignore[no-untyped-def]
-    """Energy that one flat reflector in each direction and bin explains.
-
-    The sum over rows of gain times sample, turned by the phase of the delay, squared, over the sum of squared gains.
+def turn_rows_by(patterns, aperture, curvature, start, stop, turns):  # type: ignore[no-untyped-def]
+    """As `matched_sums.turn_rows`, by the patterns of the sensors.
 
     Args:
-        aperture: the rows.
         patterns: of the sensors.
-        directions: (d, 3) unit vectors.
-        low: first bin.
-        high: bin after the last.
-        out: (d, b) float32, set from `low` to `high`.
+        aperture: the rows.
+        curvature: of the range along the aperture [1/bin].
+        start: first direction.
+        stop: direction after the last.
+        turns: of all directions; set.
     """
-    samples = aperture.samples
-    rows, bins = samples.shape[0], samples.shape[1]
-    real, imag = np.empty(bins, np.float32), np.empty(bins, np.float32)
     gain = np.empty(len(patterns.turns))
-    for d in range(len(directions)):
-        _toward(patterns, directions[d], gain)
-        for k in range(low, high):
-            real[k] = 0.0
-            imag[k] = 0.0
-        total = 0.0
-        for i in range(rows):
-            g = gain[aperture.sensor[i]]
-            if g <= LEAST_GAIN:
-                continue
-            delay = _delay(aperture.offset[i], directions[d], 0.0)
-            first = math.floor(delay)
-            share = np.float32(delay - first)
-            rest = np.float32(1.0) - share
-            c = np.float32(math.cos(aperture.phase * delay) * g)
-            s = np.float32(math.sin(aperture.phase * delay) * g)
-            total += g * g
-            for k in range(max(low, -first), min(high, bins - 1 - first)):
-                x = samples[i, first + k, 0] * rest + samples[i, first + k + 1, 0] * share
-                y = samples[i, first + k, 1] * rest + samples[i, first + k + 1, 1] * share
-                real[k] += x * c - y * s
-                imag[k] += x * s + y * c
-        for k in range(low, high):
-            out[d, k] = (real[k] * real[k] + imag[k] * imag[k]) / max(total, 1e-9)
-
-
-@loop()
-def strongest_direction(energy, floor, low, high):  # type: ignore[no-untyped-def]
-    """Place of the largest energy over the floor of its bin.
-
-    Args:
-        energy: (d, b) explained energy of each direction and bin.
-        floor: (b) factor that an energy must exceed; what stronger echoes leave behind.
-        low: first bin.
-        high: bin after the last.
-
-    Returns:
-        Energy over the floor, and the two indices.
-    """
-    best, where = 0.0, (0, 0)
-    for d in range(energy.shape[0]):
-        for k in range(low, high):
-            if energy[d, k] > best * floor[k]:
-                best = energy[d, k] / floor[k]
-                where = (d, k)
-    return best, where
+    for d in range(start, stop):
+        _toward(patterns, turns.directions[d], gain)
+        _turn_rows(aperture, gain, curvature, d, turns)
 
 
 @inner(fastmath=True)
-def _explained(aperture, patterns, unit, curvature, place, gain, sums):  # type: ignore[no-untyped-def]
-    """Energy that a reflector explains, and all energy along its range; `sums` takes the sum of each sensor."""
-    samples = aperture.samples
-    sums[:] = 0.0
-    energy = total = real = imag = 0.0
+def _fitted(aperture, patterns, unit, curvature, place, gain, sums, parts):  # type: ignore[no-untyped-def]
+    """Energy that a reflector explains, and all energy along its range, by the patterns of the sensors."""
     _toward(patterns, unit, gain)
-    for i in range(samples.shape[0]):
-        delay = _delay(aperture.offset[i], unit, curvature)
-        at = delay + place
-        k = math.floor(at)
-        if k < 0 or k >= samples.shape[1] - 1:
-            continue
-        share = at - k
-        x = samples[i, k, 0] * (1 - share) + samples[i, k + 1, 0] * share
-        y = samples[i, k, 1] * (1 - share) + samples[i, k + 1, 1] * share
-        c, q = math.cos(aperture.phase * delay), math.sin(aperture.phase * delay)
-        mine = aperture.sensor[i]
-        sums[mine, 0] += x * c - y * q
-        sums[mine, 1] += x * q + y * c
-        sums[mine, 2] += 1
-        real += gain[mine] * (x * c - y * q)
-        imag += gain[mine] * (x * q + y * c)
-        energy += x * x + y * y
-        total += gain[mine] ** 2
-    for s in range(len(gain)):
-        sums[s, 3] = gain[s]
-    return (real * real + imag * imag) / max(total, 1e-9), energy
+    return _fit_at(aperture, unit, curvature, place, gain, sums, parts)
 
 
 @inner()
@@ -174,16 +103,17 @@ def refine_direction(aperture, patterns, start, frame, steps, most_curvature, su
         frame: (2, 3) unit vectors across that direction.
         steps: (4) of the two angles, curvature and range in the first round; 0 keeps a parameter.
         most_curvature: bound on its size [1/bin].
-        sums: (s, 4) set to real and imaginary part of each sensor's sum, its rows, and its gain over the greatest.
+        sums: (s, 3) set to real and imaginary part of each sensor's sum, and its rows.
         found: (7) set to energy explained, all energy, unit vector, curvature and range.
     """
     unit, gain = np.empty(3), np.empty(len(patterns.turns))
+    parts = np.empty((aperture.moment.max() + 1, 2))
     now, trial, size = np.zeros(4), np.empty(4), np.empty(4)
     now[2], now[3] = start[3], start[4]
     for p in range(4):
         size[p] = steps[p]
     _directed(start, frame, now, unit)
-    best, _ = _explained(aperture, patterns, unit, now[2], now[3], gain, sums)
+    best, _ = _fitted(aperture, patterns, unit, now[2], now[3], gain, sums, parts)
     for _ in range(ROUNDS):
         for _ in range(STEPS):
             better = False
@@ -196,7 +126,7 @@ def refine_direction(aperture, patterns, start, frame, steps, most_curvature, su
                 trial[p] += size[p] if move % 2 == 0 else -size[p]
                 trial[2] = min(max(trial[2], -most_curvature), most_curvature)
                 _directed(start, frame, trial, unit)
-                value, _ = _explained(aperture, patterns, unit, trial[2], trial[3], gain, sums)
+                value, _ = _fitted(aperture, patterns, unit, trial[2], trial[3], gain, sums, parts)
                 if value > best * 1.0005:
                     best, better = value, True
                     for other in range(4):
@@ -206,7 +136,7 @@ def refine_direction(aperture, patterns, start, frame, steps, most_curvature, su
         for p in range(4):
             size[p] *= SHRINK
     _directed(start, frame, now, unit)
-    found[0], found[1] = _explained(aperture, patterns, unit, now[2], now[3], gain, sums)
+    found[0], found[1] = _fitted(aperture, patterns, unit, now[2], now[3], gain, sums, parts)
     for i in range(3):
         found[2 + i] = unit[i]
     found[5], found[6] = now[2], now[3]
@@ -219,7 +149,7 @@ def subtract_directed(aperture, found, sums, pulse):  # type: ignore[no-untyped-
     Args:
         aperture: the rows; their samples change.
         found: (7) as `refine_direction` gave it.
-        sums: (s, 4) as `refine_direction` gave it.
+        sums: (s, 3) as `refine_direction` gave it.
         pulse: standard deviation of the pulse's envelope [bin].
     """
     samples = aperture.samples
@@ -237,6 +167,12 @@ def subtract_directed(aperture, found, sums, pulse):  # type: ignore[no-untyped-
             level = math.exp(-0.5 * ((k - at) / pulse) ** 2)
             samples[i, k, 0] -= real * level
             samples[i, k, 1] -= imag * level
+
+
+@loop()
+def gains_toward(patterns, unit, gain):  # type: ignore[no-untyped-def]
+    """Set the two-way amplitude gain (s) of each sensor in a direction (3), over that of the one that sees it best."""
+    _toward(patterns, unit, gain)
 
 
 @loop()

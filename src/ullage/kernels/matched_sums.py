@@ -105,22 +105,28 @@ def turn_rows(aperture, curvature, start, stop, turns):  # type: ignore[no-untyp
     """
     gain = np.empty(len(aperture.axes))
     for d in range(start, stop):
-        unit = turns.directions[d]
-        _gains(aperture, unit, gain)
-        n, total = 0, 0.0
-        for i in range(len(aperture.sensor)):
-            g = gain[aperture.sensor[i]]
-            if g <= LEAST_GAIN:
-                continue
-            delay = _delay(aperture.offset[i], unit, curvature)
-            first = math.floor(delay)
-            c, s = _cos_sin(aperture.phase * delay)
-            turns.row[d, n], turns.first[d, n] = i, first
-            turns.weight[d, n, 0] = delay - first
-            turns.weight[d, n, 1], turns.weight[d, n, 2] = c * g, s * g
-            total += g * g
-            n += 1
-        turns.counted[d], turns.total[d] = n, max(total, 1e-9)
+        _gains(aperture, turns.directions[d], gain)
+        _turn_rows(aperture, gain, curvature, d, turns)
+
+
+@inner(fastmath=True)
+def _turn_rows(aperture, gain, curvature, d, turns):  # type: ignore[no-untyped-def]
+    """Fill in the rows of one direction, at a gain of each sensor."""
+    unit = turns.directions[d]
+    n, total = 0, 0.0
+    for i in range(len(aperture.sensor)):
+        g = gain[aperture.sensor[i]]
+        if g <= LEAST_GAIN:
+            continue
+        delay = _delay(aperture.offset[i], unit, curvature)
+        first = math.floor(delay)
+        c, s = _cos_sin(aperture.phase * delay)
+        turns.row[d, n], turns.first[d, n] = i, first
+        turns.weight[d, n, 0] = delay - first
+        turns.weight[d, n, 1], turns.weight[d, n, 2] = c * g, s * g
+        total += g * g
+        n += 1
+    turns.counted[d], turns.total[d] = n, max(total, 1e-9)
 
 
 @loop(fastmath=True)
@@ -214,6 +220,13 @@ def find_peaks(energy, low, high, peak, where):  # type: ignore[no-untyped-def]
 @inner(fastmath=True)
 def _fit(aperture, unit, curvature, place, gain, sums, parts):  # type: ignore[no-untyped-def]
     """Energy that a reflector explains, and all energy along its range; `sums` takes the sum of each sensor."""
+    _gains(aperture, unit, gain)
+    return _fit_at(aperture, unit, curvature, place, gain, sums, parts)
+
+
+@inner(fastmath=True)
+def _fit_at(aperture, unit, curvature, place, gain, sums, parts):  # type: ignore[no-untyped-def]
+    """The same at a gain of each sensor."""
     samples = aperture.samples
     for s in range(len(gain)):
         sums[s, 0] = 0.0
@@ -221,7 +234,6 @@ def _fit(aperture, unit, curvature, place, gain, sums, parts):  # type: ignore[n
         sums[s, 2] = 0.0
     energy = total = 0.0
     parts[:] = 0.0
-    _gains(aperture, unit, gain)
     for i in range(samples.shape[0]):
         delay = _delay(aperture.offset[i], unit, curvature)
         at = delay + place

@@ -109,30 +109,6 @@ def draw_discs(box, views, alive, widening, evidence, level, mark):  # type: ign
                     level[cell] = max(level[cell], views.level[k])
 
 
-@loop()
-def find_hidden(box, views, evidence, level, least, alive):  # type: ignore[no-untyped-def]
-    """Drop echoes whose path crosses a surface that is surer than theirs and reflects at least as much.
-
-    Args:
-        box: the cells.
-        views: the echoes.
-        evidence: (cells) of surfaces.
-        level: (cells) of the strongest echo of each [m].
-        least: evidence of an occupied cell.
-        alive: (k) set to False where the path is blocked.
-    """
-    for k in range(len(alive)):
-        if not alive[k]:
-            continue
-        own = _at(box, views, k, views.range_m[k], 0.0, 0.0)
-        bound = max(least, 0.5 * evidence[own] if own >= 0 else 0.0)
-        for i in range(8, int((views.range_m[k] - BEFORE_M) / (0.25 * box.step))):
-            cell = _at(box, views, k, 0.25 * box.step * i, 0.0, 0.0)
-            if cell >= 0 and cell != own and evidence[cell] > bound and level[cell] > views.level[k]:
-                alive[k] = False
-                break
-
-
 @inner()
 def _strand(j, half):  # type: ignore[no-untyped-def]
     """Distances of a ray of a tube across its middle."""
@@ -140,6 +116,45 @@ def _strand(j, half):  # type: ignore[no-untyped-def]
         return 0.0, 0.0
     radius, turn = half * (1 + (j - 1) // SPOKES) / RINGS, 2 * math.pi * ((j - 1) % SPOKES) / SPOKES
     return radius * math.cos(turn), radius * math.sin(turn)
+
+
+@inner()
+def _blocked(box, views, evidence, level, k, bound, own, zone, j):  # type: ignore[no-untyped-def]
+    """Whether one ray of the first Fresnel zone crosses a surface that reflects at least as much."""
+    range_m = views.range_m[k]
+    for i in range(8, int((range_m - BEFORE_M) / (0.25 * box.step))):
+        far = 0.25 * box.step * i
+        a, b = _strand(j, zone * math.sqrt(far * (1 - far / range_m)))
+        cell = _at(box, views, k, far, a, b)
+        if cell >= 0 and cell != own and evidence[cell] > bound and level[cell] > views.level[k]:
+            return True
+    return False
+
+
+@loop()
+def find_hidden(box, views, evidence, level, least, zone, alive):  # type: ignore[no-untyped-def]
+    """Drop echoes whose first Fresnel zone a surface fills that is surer than theirs and reflects at least as much.
+
+    What fills it in part lets an echo pass that is weaker.
+
+    Args:
+        box: the cells.
+        views: the echoes.
+        evidence: (cells) of surfaces.
+        level: (cells) of the strongest echo of each [m].
+        least: evidence of an occupied cell.
+        zone: radius of the first Fresnel zone over the root of the distance [sqrt(m)].
+        alive: (k) set to False where the path is blocked.
+    """
+    for k in range(len(alive)):
+        if not alive[k]:
+            continue
+        own = _at(box, views, k, views.range_m[k], 0.0, 0.0)
+        bound = max(least, 0.5 * evidence[own] if own >= 0 else 0.0)
+        j = 0
+        while j < 1 + RINGS * SPOKES and _blocked(box, views, evidence, level, k, bound, own, zone, j):
+            j += 1
+        alive[k] = j < 1 + RINGS * SPOKES
 
 
 @loop()

@@ -215,7 +215,7 @@ def plane_message(omap: OccupancyMap, t_ns: int) -> bytes:
 
 
 def surfaces_message(omap: OccupancyMap, t_ns: int) -> bytes:
-    """MarkerArray of the surfaces of a plane map: a short line along the surface at each specular point.
+    """MarkerArray of the surfaces of a map: short lines along the surface at each specular point.
 
     A surface is a marker with its number as id, in the name space of its kind. The first marker deletes those of the
     last message, since surfaces may be merged or dropped. Surfaces that are not on the map are left out, except slopes.

@@ -73,16 +73,17 @@ def write_surfaces(omap: OccupancyMap, path: str | Path) -> None:
     if not omap.surfaces:
         raise InputError("the map holds no surfaces", where=path, allowed='a map of method="likelihood"')
     shown = [(number, one) for number, one in enumerate(omap.surfaces) if one.on_map]
-    names = ("x", "y", "nx", "ny", "z", "nz", "log_odds")
+    names = ("x", "y", "z", "nx", "ny", "nz", "log_odds")
     points = np.zeros(sum(one.seen for _, one in shown), [(name, "<f4") for name in names] + [("surface", "<i4")])
+    points["z"] = np.nan_to_num(omap.grid.origin_m[2])
     start = 0
     for number, one in shown:
         part = points[start : start + one.seen]
-        for name, values in zip(names[:4], (*one.points.T, *one.normals.T), strict=True):
-            part[name] = values
+        for first, values in ((0, one.points.T), (3, one.normals.T)):
+            for name, value in zip(names[first:], values, strict=False):
+                part[name] = value
         part["log_odds"], part["surface"] = one.log_odds, number
         start += one.seen
-    points["z"] = np.nan_to_num(omap.grid.origin_m[2])
     head = ["ply", "format binary_little_endian 1.0"]
     head += [f"comment surface {number} {one.kind}" for number, one in shown] + [f"element vertex {len(points)}"]
     head += [f"property float {name}" for name in names] + ["property int surface", "end_header", ""]

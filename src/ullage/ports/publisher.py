@@ -343,7 +343,7 @@ class Publisher:
             yield Message(t_ns, "image/amplitude", encode.PICTURE, "latched", exact)
 
     def _volume_messages(self, omap: OccupancyMap, t_ns: int) -> Iterator[Message]:
-        """Encode a volume's occupied cells, and as often as full maps the lossless cells and the cubes."""
+        """Encode a volume's occupied cells, and as often as full maps the lossless cells, cubes and surfaces."""
         self._volume = omap
         if self._volume_ns is None or abs(t_ns - self._volume_ns) >= self.map_changes.full_ns:
             yield from self._whole_volume(omap, t_ns)
@@ -355,6 +355,8 @@ class Publisher:
         yield Message(t_ns, "map/occupied", ros.CLOUD, "latched", conversions.occupied_message(omap, t_ns))
         yield Message(t_ns, "map/cubes", ros.MARKERS, "latched", encode.cubes_message(omap, t_ns))
         yield Message(t_ns, "map/cells", ros.CELLS, "latched", conversions.cells_message(omap, t_ns))
+        if omap.surfaces:
+            yield Message(t_ns, "map/surfaces", ros.MARKERS, "latched", encode.surfaces_message(omap, t_ns))
 
 
 def body_path(frames: Frames, path: Trajectory) -> Trajectory:

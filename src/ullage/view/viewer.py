@@ -246,9 +246,9 @@ class ViewerSink:
 
     def _show_map(self, omap: OccupancyMap) -> None:
         self._set_time(self._now_ns)
+        self._surfaces(omap)
         if omap.grid.dims == 2:
             self._plane("world/map", omap.grid, map_picture(omap, free_alpha=FREE_ALPHA), lift_m=0.0)
-            self._surfaces(omap)
             return
         rr, cells = self._rr, np.argwhere(omap.occupied)
         centers = _centers(omap.grid, cells)
@@ -262,8 +262,10 @@ class ViewerSink:
         self._rec.log("world/map", shape)
 
     def _surfaces(self, omap: OccupancyMap) -> None:
-        """Show the surfaces of a plane map as lines, coloured by kind."""
-        height = float(omap.grid.at_height(self._height_m).origin_m[2]) + SURFACE_LIFT_M
+        """Show the surfaces of a map as lines, coloured by kind."""
+        height = 0.0
+        if omap.grid.dims == 2:
+            height = float(omap.grid.at_height(self._height_m).origin_m[2]) + SURFACE_LIFT_M
         for kind, color in SURFACE_COLORS.items():
             mine = [one for one in omap.surfaces if one.kind == kind and (one.on_map or kind == "slope")]
             lines = [one.lines(1.5 * omap.grid.step_m, height) for one in mine]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -18,10 +18,11 @@ class DirectionSums:
 
     Args:
         directions: (d, 3) unit vectors.
+        turn: function like `turn_rows`, which finds the gains of the sensors.
     """
 
-    def __init__(self, directions: Floats) -> None:
-        self.directions = directions
+    def __init__(self, directions: Floats, turn: Callable[..., None] = turn_rows) -> None:
+        self.directions, self._turn = directions, turn
         self._offset = np.zeros((0, 3))
 
     def begin(self, aperture: Aperture) -> None:
@@ -54,7 +55,7 @@ class DirectionSums:
         for start in range(0, count, chunk):
             stop = min(start + chunk, count)
             if moved:
-                turn_rows(self._aperture, 0.0, start, stop, self._turns)
+                self._turn(self._aperture, 0.0, start, stop, self._turns)
             sum_turned(self._aperture, self._turns, 0.0, start, stop, low, high, self.energy)
             yield
         self._offset = self._aperture.offset.copy()

@@ -20,7 +20,7 @@ from ullage.arrays import Floats
 from ullage.kernels.matched_sums import LEAST_GAIN, Aperture, refine, subtract
 from ullage.processing.likelihood.direction_sums import DirectionSums
 from ullage.processing.likelihood.keyframes import Keyframe
-from ullage.processing.likelihood.poses import AperturePoses, EchoPhases, PoseErrors
+from ullage.processing.likelihood.poses import AperturePoses, EchoPhases, PoseErrors, range_sigma
 from ullage.processing.likelihood.rivals import APART, MOST_LEAD, MirrorLevel, ring_of, rivals_of, track_of
 from ullage.processing.likelihood.spec import LikelihoodSpec
 
@@ -301,26 +301,11 @@ class EchoFinder:
         nats = active.sum() * -math.log(1 - coherence)
         return (
             state,
-            self._covariance(along, cosine * across, self._errors(key, unit, coherence)),
+            self._covariance(along, cosine * across, range_sigma(key, unit, coherence, self._spec)),
             coherence,
             mean / gains[loudest] * range_m,
             nats,
         )
-
-    def _errors(self, key: Keyframe, unit: Floats, coherence: float) -> float:
-        """Standard deviation of one row's range, from its phase as far as the poses keep that coherent [m].
-
-        The envelope of the pulse gives the rest. What an echo does not explain adds to both.
-        """
-        aperture, unexplained = key.aperture, math.sqrt(max(1 - coherence, 0.02) / 0.02)
-        pose = float(unit @ aperture.spread @ unit)
-        envelope = self._spec.envelope_sigma * key.pulse * unexplained
-        if not aperture.phase:
-            return key.bin_m * math.hypot(envelope, math.sqrt(pose))
-        share = math.exp(-pose * aperture.phase**2)
-        phase = self._spec.phase_sigma_rad / aperture.phase * unexplained
-        weight = share / (phase**2 + pose) + (1 - share) / (envelope**2 + pose)
-        return key.bin_m / math.sqrt(weight)
 
     def _covariance(self, along: Floats, across: Floats, sigma: float) -> Floats:
         """Covariance (4, 4) of range, bearing, curvature and cosine, by least squares on the ranges of the rows.

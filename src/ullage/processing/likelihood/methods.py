@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ullage.errors import InputError
 from ullage.grids import Grid
 from ullage.processing.likelihood.mapper import LikelihoodMapper
 from ullage.processing.likelihood.spec import LikelihoodSpec
@@ -21,14 +20,11 @@ def likelihood_mapper(
     Args:
         grid: what it maps.
         spec: parameters; None: the defaults.
-        floor_z_m: height of a level floor, whose echoes a plane leaves out [m]; None: none is known.
+        floor_z_m: height of a level floor, a known surface [m]; None: none is known.
         vehicle_radius_m: radius of the ball about the antenna that the vehicle fills [m]; None: that of `spec`.
 
     Raises:
-        InputError: a volume is given a floor, which it maps itself; or another option is out of bounds.
+        InputError: an option is out of bounds.
     """
-    if grid.dims == 2:
-        return LikelihoodMapper(grid, spec=spec, floor_z_m=floor_z_m, vehicle_radius_m=vehicle_radius_m)
-    if floor_z_m is not None:
-        raise InputError("a volume maps its floor itself", where="floor_z_m", allowed="None, or a grid with dims=2")
-    return VolumeMapper(grid, spec=spec, vehicle_radius_m=vehicle_radius_m)
+    mapper = LikelihoodMapper if grid.dims == 2 else VolumeMapper
+    return mapper(grid, spec=spec, floor_z_m=floor_z_m, vehicle_radius_m=vehicle_radius_m)

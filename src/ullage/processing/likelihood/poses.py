@@ -14,6 +14,8 @@ import numpy as np
 
 from ullage.arrays import Complexes, Floats, Longs
 from ullage.kernels.matched_sums import Aperture
+from ullage.processing.likelihood.keyframes import Keyframe
+from ullage.processing.likelihood.spec import LikelihoodSpec
 
 KEPT = 161  # estimates of the variance; their median counts
 LEAST_VARIANCE = 1e-3  # of a phase, that the model itself leaves [rad^2]
@@ -21,6 +23,28 @@ LEAST_SHARE = 0.8  # of its energy that an echo must explain at free phases to s
 LEAST_COHERENCE = 1e-3  # bounds the variance of phases that have nothing in common
 LEAST_PRIOR = 0.01  # variance of a phase from which the poses are worth a second pass [rad^2]
 WRAPS = 2 * np.pi * np.arange(-3, 4)
+
+
+def range_sigma(key: Keyframe, unit: Floats, coherence: float, spec: LikelihoodSpec) -> float:
+    """Standard deviation of one row's range, from its phase as far as the poses keep that coherent [m].
+
+    The envelope of the pulse gives the rest. What an echo does not explain adds to both.
+
+    Args:
+        key: the keyframe.
+        unit: direction (3) of the echo.
+        coherence: share of the energy that it explains.
+        spec: parameters.
+    """
+    aperture, unexplained = key.aperture, math.sqrt(max(1 - coherence, 0.02) / 0.02)
+    pose = float(unit @ aperture.spread @ unit)
+    envelope = spec.envelope_sigma * key.pulse * unexplained
+    if not aperture.phase:
+        return key.bin_m * math.hypot(envelope, math.sqrt(pose))
+    share = math.exp(-pose * aperture.phase**2)
+    phase = spec.phase_sigma_rad / aperture.phase * unexplained
+    weight = share / (phase**2 + pose) + (1 - share) / (envelope**2 + pose)
+    return key.bin_m / math.sqrt(weight)
 
 
 class PoseErrors:

@@ -128,7 +128,7 @@ def render(
         views = _unfolded(views, far[owner], wavelength_m, radar.fold_m)
         fold_m[resolved] = np.where(far, radar.fold_m, 0.0)
         possible = plausible[resolved] & ~_flown_through(views, owner, flown)
-        alive, evidence, level = _visible(box, views, owner, possible, spec)
+        alive, evidence, level = _visible(box, views, owner, possible, math.sqrt(wavelength_m / 2), spec)
         kept[np.flatnonzero(resolved)] = np.bincount(owner, alive) > 0
         shown = evidence >= spec.evidence
         crossed, tube = np.zeros(grid.size), NARROW * spec.tube * math.sqrt(wavelength_m / 2)
@@ -243,7 +243,7 @@ def _flown_through(views: SpatialViews, owner: Longs, flown: Floats) -> Bools:
 
 
 def _visible(
-    box: Box, views: SpatialViews, owner: Longs, possible: Bools, spec: LikelihoodSpec
+    box: Box, views: SpatialViews, owner: Longs, possible: Bools, zone: float, spec: LikelihoodSpec
 ) -> tuple[Bools, Floats, Floats]:
     """Which echoes come straight from a surface, and evidence and level of these in each cell (cells)."""
     count, alive = np.bincount(owner), possible[owner]
@@ -255,7 +255,7 @@ def _visible(
         if last:
             break
         alive = possible[owner]
-        find_hidden(box, views, evidence, level, spec.evidence, alive)
+        find_hidden(box, views, evidence, level, spec.evidence, zone, alive)
         alive &= (np.bincount(owner, alive) / count > SEEN_SHARE)[owner]
     return alive, evidence, level
 

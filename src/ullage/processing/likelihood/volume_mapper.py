@@ -7,18 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from ullage import checks
 from ullage.antenna import cube
 from ullage.arrays import Bools, Floats
 from ullage.data import Recording
-from ullage.errors import InputError
-from ullage.grids import Changes, Grid, MappedSurface, OccupancyMap
+from ullage.grids import UNKNOWN, Changes, Grid, MappedSurface, OccupancyMap
 from ullage.processing.baseband import as_baseband
 from ullage.processing.inverse_sensor import mirror_m
 from ullage.processing.likelihood.directions import DirectionFinder
 from ullage.processing.likelihood.keyframes import Keyframe, KeyframeSelector
 from ullage.processing.likelihood.mapper import CELL_M, LikelihoodMapper
 from ullage.processing.likelihood.spec import LikelihoodSpec
-from ullage.processing.likelihood.volume_map import Quiet, Radar, quiet_of, render
+from ullage.processing.likelihood.volume_map import Quiet, Radar, quiet_of, render, smoothed
 from ullage.processing.likelihood.volume_surfaces import SpatialSurface, SpatialTracker
 from ullage.processing.likelihood.workload import Workload
 from ullage.processing.mapper_door import in_order, radius_of_vehicle
@@ -32,15 +32,21 @@ class VolumeMapper(LikelihoodMapper):
     Args:
         grid: a volume that holds the flight.
         spec: parameters; None: the defaults.
+        floor_z_m: height of a level floor [m], a known surface that takes its echoes; None: none is known.
         vehicle_radius_m: radius of the ball about the antenna that the vehicle fills, and so shows free [m]; None: that
             of `spec`.
 
     Raises:
-        InputError: the grid is too large, or the radius is not a positive number.
+        InputError: the grid is too large, the radius is not a positive number, or the floor's height not a finite one.
     """
 
     def __init__(
-        self, grid: Grid, *, spec: LikelihoodSpec | None = None, vehicle_radius_m: float | None = None
+        self,
+        grid: Grid,
+        *,
+        spec: LikelihoodSpec | None = None,
+        floor_z_m: float | None = None,
+        vehicle_radius_m: float | None = None,
     ) -> None:
         grid.check_memory(60, "the map")
         self.grid = grid
@@ -49,31 +55,26 @@ class VolumeMapper(LikelihoodMapper):
             self.spec = replace(self.spec, vehicle_m=radius_of_vehicle(vehicle_radius_m))
         self._keyframes = KeyframeSelector(self.spec)
         self._finder = DirectionFinder(self.spec)
-        self._space = SpatialTracker(self.spec)
+        floor = None if floor_z_m is None else checks.number("floor_z_m", floor_z_m, "mapper")
+        self._space = SpatialTracker(self.spec, floor)
         self._work = Workload()
         self._cubes: dict[str, Floats] = {}
         self._mirror_m = np.inf
         self._wavelength_m = self._fold_m = 0.0
         self._places: dict[tuple[int, ...], None] = {}
         self._quiet: dict[tuple[int, ...], Quiet] = {}
-        self._phase: bool | None = True
+        self._phase: bool | None = None
         self._published: OccupancyMap | None = None
 
     def update(self, frames: Recording) -> None:
         """Add frames of one or several sensors.
 
         Raises:
-            InputError: no poses, no phase, another carrier, a sample that is not finite, or a flight that leaves the
-                grid.
+            InputError: no poses, phase of some sensors only, another carrier, a sample that is not finite, or a flight
+                that leaves the grid.
         """
         parts = [as_baseband(part) for part in in_order(frames, self.grid)]
         for part in parts:
-            if not np.iscomplexobj(part.samples):
-                raise InputError(
-                    "the likelihood map of a volume needs samples with phase",
-                    where=part.sensor,
-                    allowed="complex baseband or RF; a plane; or method='ullage'",
-                )
             self._check(part)
         for part in parts:
             for place in np.floor(part.believed.position / CELL_M).astype(int).tolist():
@@ -86,7 +87,8 @@ class VolumeMapper(LikelihoodMapper):
 
     def _explained(self, key: Keyframe) -> Iterator[None]:
         """What a keyframe adds to the surfaces and to silence, in steps of work."""
-        echoes = self._finder.find(key, np.stack(list(self._cubes.values())), self._space.known(key.position))
+        known = self._space.known(key.position)
+        echoes = yield from self._finder.steps(key, np.stack(list(self._cubes.values())), known)
         yield
         number = self._space.update(echoes, self._mirror_m)
         self._quiet[tuple(np.floor(key.position / QUIET_M).astype(int).tolist())] = quiet_of(echoes, number)
@@ -96,27 +98,46 @@ class VolumeMapper(LikelihoodMapper):
         surfaces = self._space.confirmed()
         flown = (np.array(list(self._places), float).reshape(-1, 3) + 0.5) * CELL_M
         if not len(flown):
-            return OccupancyMap(self.grid, np.full(self.grid.shape, -1, np.int8), "likelihood"), [], np.zeros(0, bool)
+            unknown = np.full(self.grid.shape, UNKNOWN, np.int8)
+            return OccupancyMap(self.grid, unknown, "likelihood"), [], np.zeros(0, bool)
         radar = Radar(np.stack(list(self._cubes.values())), self._wavelength_m, self._fold_m, self._mirror_m)
         omap, kept = render(self.grid, surfaces, list(self._quiet.values()), flown, radar, self.spec)
         return omap, surfaces, kept
 
+    def map(self) -> OccupancyMap:
+        """The map so far, with its surfaces."""
+        omap, surfaces, kept = self._drawn()
+        return OccupancyMap(omap.grid, omap.tiles, omap.method, surfaces=_mapped(surfaces, kept))
+
     def surfaces(self) -> list[MappedSurface]:
-        """None: a surface of a volume has another state than one of a plane."""
-        return []
+        """The surfaces that are sure to exist so far, in order of their first echo."""
+        _, surfaces, kept = self._drawn()
+        return list(_mapped(surfaces, kept))
 
     @property
     def pose_sigma_m(self) -> float:
-        """0: errors of the poses are not estimated in a volume [m]."""
-        return 0.0
-
-    def map(self) -> OccupancyMap:
-        """The map so far."""
-        return self._drawn()[0]
+        """White error of one coordinate of the positions, as the latest echoes show it (standard deviation) [m]."""
+        self._work.finish()
+        return self._finder.pose_errors.sigma_m
 
     def changed(self) -> Changes:
         """The blocks in which the map differs from that of the last call."""
-        now = self.map()
+        now = self._drawn()[0]
         out = now.changes(self._published)
         self._published = now
         return out
+
+
+def _mapped(surfaces: list[SpatialSurface], kept: Bools) -> tuple[MappedSurface, ...]:
+    out = []
+    for one, on_map in zip(surfaces, kept, strict=True):
+        place = np.array([seen.position for seen in one.sightings.values()])
+        state, _ = smoothed(one)
+        spread = np.zeros((5, 4))
+        spread[0, 0] = spread[4, 3] = 1.0
+        spread[1:4, 1:3] = one.frames[one.leader].T
+        covariance = spread @ one.covariances[one.leader] @ spread.T
+        given = one.position, one.states[one.leader], covariance, one.log_odds, len(place), bool(on_map)
+        unit = state[:, 1:4]
+        out.append(MappedSurface(one.kind, *given, place + state[:, :1] * unit, -unit))
+    return tuple(out)

@@ -20,6 +20,7 @@ from ullage.kernels.directed_sums import weigh_levels
 from ullage.processing.likelihood.directions import DirectedEchoes, across, ring
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import (
+    FLAT,
     FORGET_M,
     GROWTH,
     MOST_BEHIND,
@@ -31,7 +32,10 @@ from ullage.processing.likelihood.surfaces import (
 
 RIVALS = 24  # directions on the ring of a new echo, every 15 deg
 STEPS = np.array([1e-4, 1e-5, 1e-5, 1e-4])  # of the numerical derivatives: m, rad, rad, 1/m
-UPRIGHT = np.array([0.3, 0.0, 0.3, 1.5])  # standard deviation of an upright cylinder before its first echo: m, rad, 1/m
+UPRIGHT = np.array(
+    [0.3, 0.0, 0.3, 0.5]
+)  # standard deviation of an upright cylinder before its first echo: m, rad; range
+BENDS = np.array([-1.5, -0.5, 1.0, 2.0])  # its curvature times range: two hollow ones, an edge, one beyond its centre
 ROUND_NATS = 5.0  # by which a plane is preferred to a cylinder at first
 NEAR_M = 0.25  # a rival whose range differs by more does not predict an echo
 SAME_RAD, GROUP_RAD = math.radians(3.0), math.radians(10.0)  # rivals this near are one; are one direction on the map
@@ -71,6 +75,7 @@ class SpatialSurface:
     evidence: Floats  # (k) log-likelihood
     shapes: Longs  # (k) row of `PROJECTORS`
     number: int
+    given: bool = False  # known before the flight
     log_odds: float = 0.0
     seen_m: float = 0.0
     sightings: dict[tuple[int, ...], SeenEcho] = field(default_factory=dict)
@@ -79,6 +84,15 @@ class SpatialSurface:
     def leader(self) -> int:
         """The best rival."""
         return int(np.argmax(self.evidence))
+
+    @property
+    def kind(self) -> str:
+        """Plane, edge (a centre of curvature at the surface) or cylinder."""
+        range_m, curvature = self.states[self.leader, 0], self.states[self.leader, 4]
+        doubt = 2 * math.sqrt(self.covariances[self.leader, 3, 3]) + FLAT
+        if self.shapes[self.leader] == PLANE or abs(curvature) < doubt:
+            return "plane"
+        return "edge" if abs(curvature - 1 / range_m) < doubt else "cylinder"
 
     @property
     def share(self) -> float:
@@ -137,17 +151,27 @@ def predicted(
     return new, turned, jacobian @ covariance @ jacobian.transpose(0, 2, 1)
 
 
+def level_floor(z_m: float, number: int) -> SpatialSurface:
+    """A level floor of known height [m], without rivals."""
+    down = np.array([0.0, 0.0, -1.0])
+    state, frame = np.array([[1.0, *down, 0.0]]), across(down, np.array([1.0, 0.0, 0.0]))[None]
+    covariance = np.zeros((1, 4, 4))
+    above = np.array([0.0, 0.0, z_m + 1.0])
+    return SpatialSurface(above, state, frame, covariance, np.zeros(1), np.array([PLANE]), number, given=True)
+
+
 class SpatialTracker:
     """Associates echoes with surfaces, updates their rivals, and starts new ones.
 
     Args:
         spec: parameters.
+        floor_z_m: height of a level floor, a known surface [m]; None: none is known.
     """
 
-    def __init__(self, spec: LikelihoodSpec) -> None:
+    def __init__(self, spec: LikelihoodSpec, floor_z_m: float | None = None) -> None:
         self._spec = spec
-        self.surfaces: list[SpatialSurface] = []
-        self._flown_m, self._born_count = 0.0, 0
+        self.surfaces: list[SpatialSurface] = [] if floor_z_m is None else [level_floor(floor_z_m, 0)]
+        self._flown_m, self._born_count = 0.0, len(self.surfaces)
         self._last: Floats | None = None
 
     def predict(self, position: Floats) -> tuple[Floats, Floats, Floats, Longs]:
@@ -178,7 +202,7 @@ class SpatialTracker:
         rows = [
             at + one.leader
             for at, one in zip(first, self.surfaces, strict=True)
-            if len(one.sightings) >= self._spec.least_keyframes
+            if one.given or len(one.sightings) >= self._spec.least_keyframes
         ]
         state, sigma = state[rows], covariance[rows, 0, 0]
         return np.asarray(state[(state[:, 0] > NEAREST_M) & (sigma < RANGE_GATE_M**2)])
@@ -214,13 +238,15 @@ class SpatialTracker:
         cosine = float(echoes.state[echo, 1:4] @ echoes.track)
         side = max(math.sqrt(max(1 - cosine**2, 0.0)), 0.1)
         flat, level = ring(echoes.track, cosine, RIVALS), _level_directions(echoes.track, cosine)
-        units = np.concatenate([flat, level])
-        shape = np.repeat([PLANE, CYLINDER], [len(flat), len(level)])
-        state = np.column_stack([np.full(len(units), echoes.state[echo, 0]), units, np.zeros(len(units))])
-        state[shape == CYLINDER, 4] = echoes.state[echo, 4]
+        units, range_m = np.concatenate([flat, np.repeat(level, len(BENDS), axis=0)]), float(echoes.state[echo, 0])
+        shape = np.repeat([PLANE, CYLINDER], [len(flat), len(units) - len(flat)])
+        state = np.column_stack([np.full(len(units), range_m), units, np.zeros(len(units))])
+        state[shape == CYLINDER, 4] = np.tile(BENDS, len(level)) / range_m
         along = np.where(shape[:, None] == PLANE, echoes.track, [[0.0, 0.0, 1.0]])
         frame = np.stack([across(unit, one) for unit, one in zip(units, along, strict=True)])
-        sigma = np.where(shape[:, None] == PLANE, [0.3, 0.3, 0.6 * 2 * math.pi * side / RIVALS, 0.0], UPRIGHT)
+        sigma = np.where(
+            shape[:, None] == PLANE, [0.3, 0.3, 0.6 * 2 * math.pi * side / RIVALS, 0.0], UPRIGHT / [1, 1, 1, range_m]
+        )
         covariance = sigma[:, :, None] ** 2 * np.eye(4)
         new, left, distance = _updated(state, frame, covariance, shape, echoes, np.full(len(units), echo))
         evidence = -0.5 * distance - ROUND_NATS * (shape == CYLINDER)
@@ -289,7 +315,9 @@ class SpatialTracker:
 
     def _forget(self) -> None:
         least, horizon = self._spec.least_keyframes, self._flown_m - FORGET_M
-        self.surfaces = [one for one in self.surfaces if len(one.sightings) >= least or one.seen_m >= horizon]
+        self.surfaces = [
+            one for one in self.surfaces if one.given or len(one.sightings) >= least or one.seen_m >= horizon
+        ]
 
     def confirmed(self) -> list[SpatialSurface]:
         """The surfaces that are sure to exist, in order of their first echo."""
@@ -373,9 +401,12 @@ def _pruned(surface: SpatialSurface) -> None:
         order = np.argsort(-surface.evidence, kind="stable")
         kept: list[int] = []
         for row in order.tolist():
-            unit, shape = surface.states[row, 1:4], surface.shapes[row]
+            unit, shape, bend = surface.states[row, 1:4], surface.shapes[row], surface.states[row, 4]
             same = [
-                surface.shapes[one] == shape and surface.states[one, 1:4] @ unit > math.cos(SAME_RAD) for one in kept
+                surface.shapes[one] == shape
+                and surface.states[one, 1:4] @ unit > math.cos(SAME_RAD)
+                and abs(surface.states[one, 4] - bend) <= math.sqrt(surface.covariances[one, 3, 3])
+                for one in kept
             ]
             if not any(same):
                 kept.append(row)
