@@ -9,6 +9,7 @@ import pytest
 import ullage as ul
 from ullage.data import Frames, Trajectory
 from ullage.geometry import quat_matrix
+from ullage.kernels.volume_cells import Box, SpatialViews, find_hidden
 from ullage.processing.likelihood.volume_surfaces import CYLINDER, PLANE, PROJECTORS, transported
 from ullage.processing.occupancy import Mapper
 
@@ -129,6 +130,53 @@ def test_a_round_wall_keeps_its_axis_and_radius():
     away = np.hypot(grid.x_m[k] - centre[0], grid.y_m[j] - centre[1]) - radius_m
     assert len(away) > 300
     assert np.mean(np.abs(away) < 0.15) > 0.97
+
+
+def beside(count=80):
+    """A winding flight that stays on one side of a column at the origin."""
+    s = np.linspace(-1, 1, count)
+    place = np.stack([-2.4 + 0.2 * np.cos(3 * s), 1.3 * s, 1.2 + 0.4 * np.cos(3 * s)], axis=1)
+    return Trajectory(np.arange(count) * 120_000_000, place, np.tile([0, 0, 0, 1.0], (count, 1)))
+
+
+def upright(side, radius_m, strength):
+    """A round body about the origin, seen from outside (-1), or the wall of a tank seen across its middle (1)."""
+
+    def echo(at):
+        far = np.linalg.norm(at[:, :2], axis=1)
+        return far + side * radius_m, -at * [1, 1, 0] / far[:, None], strength
+
+    return echo
+
+
+def test_the_wall_of_a_tank_is_shown_across_a_column():
+    """Around a column of this width both ways comes an echo of -18 dB."""
+    grid = ul.Grid.covering([[-4.5, -4.5, 0], [4.5, 4.5, 2.6]], 0.1, dims=3)
+    mapper = Mapper(grid, method="likelihood")
+    column, far_wall = upright(-1, 0.2, 0.28), upright(1, 4.0, 10 ** (-22 / 20))
+    mapper.update(flown(beside(), column, far_wall, tank((0, 0, 0), 4.0)))
+    mapper.finish()
+    _, j, k = np.nonzero(mapper.map().occupied)
+    away, east = np.hypot(grid.x_m[k], grid.y_m[j]), grid.x_m[k] > 2.5
+    assert (away < 0.4).sum() > 10
+    for side in (east, grid.x_m[k] < -2.5):
+        assert ((np.abs(away - 4.0) < 0.15) & side).sum() > 50
+
+
+@pytest.mark.parametrize(("half_m", "alive"), [(0.0, True), (0.2, True), (0.45, False), (2.0, False)])
+def test_an_obstacle_hides_an_echo_where_it_is_wider_than_the_way_around(half_m, alive):
+    """The ray itself is blocked in each case; the way around is 0.3 m wide in the middle of the path."""
+    box, far, wide = Box(0.0, -3.0, -3.0, 0.1, 60, 60, 80), 6.0, 0.3 / np.sqrt(1.5)
+    views = SpatialViews(
+        np.full((1, 3), 0.01), np.eye(3)[:1], np.eye(3)[None, 1:], np.array([far]), np.full((1, 2), 0.1),
+        np.zeros((1, 2)), np.array([0.5]), np.ones(1),
+    )  # fmt: skip
+    evidence, level = np.zeros((2, 60, 60, 80))
+    aside = np.abs(-2.95 + 0.1 * np.arange(60)) < max(half_m, 0.06)
+    evidence[np.ix_(aside, aside, [30])], level[:] = 10.0, 1.0
+    got = np.ones(1, bool)
+    find_hidden(box, views, evidence.ravel(), level.ravel(), 1.5, np.array([wide]), got)
+    assert got[0] == alive
 
 
 @pytest.mark.parametrize("sign", [-1, 1])

@@ -120,7 +120,7 @@ def _strand(j, half):  # type: ignore[no-untyped-def]
 
 @inner()
 def _blocked(box, views, evidence, level, k, bound, own, zone, j):  # type: ignore[no-untyped-def]
-    """Whether one ray of the first Fresnel zone crosses a surface that reflects at least as much."""
+    """Whether one ray of a path crosses a surface that reflects at least as much."""
     range_m = views.range_m[k]
     for i in range(8, int((range_m - BEFORE_M) / (0.25 * box.step))):
         far = 0.25 * box.step * i
@@ -133,9 +133,7 @@ def _blocked(box, views, evidence, level, k, bound, own, zone, j):  # type: igno
 
 @loop()
 def find_hidden(box, views, evidence, level, least, zone, alive):  # type: ignore[no-untyped-def]
-    """Drop echoes whose first Fresnel zone a surface fills that is surer than theirs and reflects at least as much.
-
-    What fills it in part lets an echo pass that is weaker.
+    """Drop echoes whose path a surface blocks that is surer than theirs and reflects at least as much.
 
     Args:
         box: the cells.
@@ -143,7 +141,7 @@ def find_hidden(box, views, evidence, level, least, zone, alive):  # type: ignor
         evidence: (cells) of surfaces.
         level: (cells) of the strongest echo of each [m].
         least: evidence of an occupied cell.
-        zone: radius of the first Fresnel zone over the root of the distance [sqrt(m)].
+        zone: (k) half width that blocks an echo of such a level, over the root of the distance [sqrt(m)].
         alive: (k) set to False where the path is blocked.
     """
     for k in range(len(alive)):
@@ -152,7 +150,7 @@ def find_hidden(box, views, evidence, level, least, zone, alive):  # type: ignor
         own = _at(box, views, k, views.range_m[k], 0.0, 0.0)
         bound = max(least, 0.5 * evidence[own] if own >= 0 else 0.0)
         j = 0
-        while j < 1 + RINGS * SPOKES and _blocked(box, views, evidence, level, k, bound, own, zone, j):
+        while j < 1 + RINGS * SPOKES and _blocked(box, views, evidence, level, k, bound, own, zone[k], j):
             j += 1
         alive[k] = j < 1 + RINGS * SPOKES
 

@@ -128,7 +128,8 @@ def render(
         views = _unfolded(views, far[owner], wavelength_m, radar.fold_m)
         fold_m[resolved] = np.where(far, radar.fold_m, 0.0)
         possible = plausible[resolved] & ~_flown_through(views, owner, flown)
-        alive, evidence, level = _visible(box, views, owner, possible, math.sqrt(wavelength_m / 2), spec)
+        detour = _detours(views.level / radar.mirror_m) * math.sqrt(wavelength_m / 2)
+        alive, evidence, level = _visible(box, views, owner, possible, detour, spec)
         kept[np.flatnonzero(resolved)] = np.bincount(owner, alive) > 0
         shown = evidence >= spec.evidence
         crossed, tube = np.zeros(grid.size), NARROW * spec.tube * math.sqrt(wavelength_m / 2)
@@ -242,8 +243,20 @@ def _flown_through(views: SpatialViews, owner: Longs, flown: Floats) -> Bools:
     return np.asarray(np.bincount(owner, near) / np.bincount(owner) > FLOWN_SHARE)
 
 
+def _detours(level: Floats) -> Floats:
+    """Half widths (k) of the widest obstacle that echoes may have come around, in radii of the first Fresnel zone.
+
+    Past both edges of an obstacle come 6 dB more than past one, which takes 13 dB + 20 log v each way [ITU-R-P526].
+
+    Args:
+        level: (k) of echoes against a mirror; 0 where that is unknown.
+    """
+    below_db = -20 * np.log10(np.maximum(level, 1e-3))
+    return np.asarray(np.where(level > 0, np.maximum(10 ** ((below_db / 2 - 7) / 20), 1.0), 1.0))
+
+
 def _visible(
-    box: Box, views: SpatialViews, owner: Longs, possible: Bools, zone: float, spec: LikelihoodSpec
+    box: Box, views: SpatialViews, owner: Longs, possible: Bools, detour: Floats, spec: LikelihoodSpec
 ) -> tuple[Bools, Floats, Floats]:
     """Which echoes come straight from a surface, and evidence and level of these in each cell (cells)."""
     count, alive = np.bincount(owner), possible[owner]
@@ -255,7 +268,7 @@ def _visible(
         if last:
             break
         alive = possible[owner]
-        find_hidden(box, views, evidence, level, spec.evidence, zone, alive)
+        find_hidden(box, views, evidence, level, spec.evidence, detour, alive)
         alive &= (np.bincount(owner, alive) / count > SEEN_SHARE)[owner]
     return alive, evidence, level
 

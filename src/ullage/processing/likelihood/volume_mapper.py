@@ -91,7 +91,8 @@ class VolumeMapper(LikelihoodMapper):
         echoes = yield from self._finder.steps(key, np.stack(list(self._cubes.values())), known)
         yield
         number = self._space.update(echoes, self._mirror_m)
-        self._quiet[tuple(np.floor(key.position / QUIET_M).astype(int).tolist())] = quiet_of(echoes, number)
+        if key.aperture.phase:
+            self._quiet[tuple(np.floor(key.position / QUIET_M).astype(int).tolist())] = quiet_of(echoes, number)
 
     def _drawn(self) -> tuple[OccupancyMap, list[SpatialSurface], Bools]:
         self._work.finish()
