@@ -262,11 +262,36 @@ def around(centre=(0.0, 0.0), radius_m=1.2):
     return Trajectory(np.arange(len(xy)) * 120_000_000, np.column_stack([xy, 0 * angle]), quat)
 
 
-def test_silence_frees_what_was_seen_from_all_sides():
-    """No echo came through the middle of a round trip below a wall, on which only the wall is heard."""
+def test_silence_frees_what_surfaces_cannot_reach_unheard():
+    """No echo came through the middle of a round trip below a wall, on which only the wall is heard.
+
+    Outside, a surface is seen square or ends, and its end would be heard. Behind the wall nothing is known.
+    """
     omap = mapped(flown(around(), wall(90, 3.0))).map()
-    cells, _ = GRID.index(np.array([[0.0, 0.0, 0], [0.05, -0.35, 0], [0.45, -1.65, 0], [0.0, -3.6, 0]]))
-    assert omap.free[tuple(cells.T)].tolist() == [True, True, True, False], "the last one may lie behind a wall"
+    places = np.array([[0.0, 0.0], [0.05, -0.35], [0.45, -1.65], [0.0, -3.6], [0.0, 3.4], [2.0, 3.4]])
+    cells, _ = GRID.index(np.column_stack([places, 0 * places[:, 0]]))
+    assert omap.free[tuple(cells.T)].tolist() == [True, True, True, True, False, False]
+
+
+def test_silence_frees_no_round_wall_that_was_not_seen_square():
+    """Most of a tank is as far away as what is seen, but its normals miss the track."""
+    centre = np.array([-0.2, -1.6])
+    omap = mapped(flown(curve(), tank(centre, 3.2))).map()
+    angle = np.arange(0, 2 * np.pi, 0.01)
+    points = centre + 3.2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    cells, inside = GRID.index(np.column_stack([points, 0 * angle]))
+    assert not omap.free[tuple(cells[inside].T)].any()
+    assert omap.free.sum() > 1500
+
+
+def test_an_echo_is_no_silence_where_its_surface_is_not_sure():
+    """One sensor on a straight track leaves open from which side the weak pillar echoes. The wall's echo passes it."""
+    path = Trajectory.line((-1.5, 0, 0), (1.5, 0, 0), speed_m_s=0.5, rate_hz=25)
+    left = flown(path, wall(90, 2.5), pillar((0.0, 1.3), 0.02, strength=0.03))["left"]
+    mapper = mapped({"left": left})
+    assert not any(abs(one.points[:, 1] - 1.3).min() < 0.1 for one in mapper.surfaces()), "no surface is sure there"
+    cells, _ = GRID.index(np.array([[0.0, 1.3, 0], [1.0, 1.3, 0]]))
+    assert mapper.map().free[tuple(cells.T)].tolist() == [False, True]
 
 
 def test_space_behind_a_surface_is_not_freed_by_echoes_past_it():

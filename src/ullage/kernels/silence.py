@@ -108,30 +108,53 @@ def cover(plane, places, blocked, reach_m, half_m, out):  # type: ignore[no-unty
                     out[cell, n % normals] = True
 
 
+class Walls(NamedTuple):
+    """What is known of surfaces in the cells of a plane."""
+
+    square: NDArray[np.bool_]  # (cells, n) normals of surfaces that do not stand there; they cover half a turn
+    end: NDArray[np.bool_]  # (cells) in which a surface may end, or belong to a known one
+    bends: NDArray[np.float64]  # (b) curvatures of surfaces [1/m]
+
+
+@inner()
+def _is_received(plane, walls, cell, n, bend):  # type: ignore[no-untyped-def]
+    """Whether a surface through a cell would have been received, to one side of it or the other."""
+    normals = walls.square.shape[1]
+    start = ((n + 0.5) / normals + 0.5) * math.pi
+    for side in (-1.0, 1.0):
+        x, y, angle, turn = cell % plane.columns + 0.5, cell // plane.columns + 0.5, start, side * bend * plane.step
+        while abs(angle - start) < math.pi:
+            angle += 0.25 * turn
+            x += 0.5 * side * math.cos(angle)
+            y += 0.5 * side * math.sin(angle)
+            angle += 0.25 * turn
+            column, row = math.floor(x), math.floor(y)
+            if column < 0 or row < 0 or column >= plane.columns or row >= plane.rows:
+                break
+            met = row * plane.columns + column
+            if walls.square[met, math.floor((angle / math.pi - 0.5) * normals) % normals]:
+                return True
+            if walls.end[met]:
+                break
+    return False
+
+
 @loop()
-def fit_between(plane, free, length_m, out):  # type: ignore[no-untyped-def]
-    """Mark the normals of walls that do not fit between free cells, in each cell.
+def exclude(plane, walls, out):  # type: ignore[no-untyped-def]
+    """Drop the cells through which a surface may go.
+
+    A surface goes on from a cell to both sides. Where it may neither end nor go on, it does not stand there.
 
     Args:
         plane: the cells.
-        free: (cells) of free space.
-        length_m: of the shortest wall.
-        out: (cells, n) set to True; the normals cover half a turn.
+        walls: what is known of surfaces.
+        out: (cells) set to False.
     """
-    normals = out.shape[1]
     for cell in range(plane.rows * plane.columns):
-        x, y = cell % plane.columns + 0.5, cell // plane.columns + 0.5
-        for n in range(normals if not free[cell] else 0):
-            angle = ((n + 0.5) / normals + 0.5) * math.pi
-            length = 0.0
-            for side in (-0.25, 0.25):
-                i = 0
-                while length < length_m:
-                    i += 1
-                    length += 0.25 * plane.step
-                    column, row = math.floor(x + side * i * math.cos(angle)), math.floor(y + side * i * math.sin(angle))
-                    inside = 0 <= row < plane.rows and 0 <= column < plane.columns
-                    if not inside or free[row * plane.columns + column]:
-                        break
-            if length < length_m:
-                out[cell, n] = True
+        for n in range(walls.square.shape[1] if out[cell] else 0):
+            if walls.square[cell, n] or not out[cell]:
+                continue
+            for bend in walls.bends:
+                if not _is_received(plane, walls, cell, n, bend):
+                    out[cell] = False
+                    break

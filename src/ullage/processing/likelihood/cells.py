@@ -22,7 +22,7 @@ from ullage.kernels.surface_cells import (
     find_crossed,
     find_hidden,
 )
-from ullage.processing.likelihood.silence import excluded_walls
+from ullage.processing.likelihood.silence import without_surfaces
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import Surface, smoothed
 
@@ -60,7 +60,7 @@ def render(
         grid: a plane.
         surfaces: those that are sure.
         flown: (f, 2) places of the track [m].
-        quiet: (cells) log-likelihood that no least obstacle stands there, by silence.
+        quiet: (2, cells) log-likelihoods that no least obstacle and no edge stands there, by silence.
         wavelength_m: of the carrier [m].
         fold_m: unambiguous range of the radars [m].
         spec: parameters.
@@ -85,45 +85,33 @@ def render(
         find_crossed(plane, views, evidence, level, spec.evidence, alive, widening, crossed)
         occupied = shown & (crossed < spec.crossed * evidence)
         slopes = (sloped & ~false)[owner]
-        clearance, weak = _clearance(views, owner)
+        clearance = _clearance(views, owner)
         doubt = np.sqrt([one.covariance[1, 1] for one in surfaces])[owner]
         views.state[slopes, 0] *= views.state[slopes, 3]  # up to the foot of the perpendicular
         near = _extensions(plane, views, alive, spec.extension_m)
-        rest = wavelength_m, spec.margin_m, SURE_M
         width = np.where(alive | slopes, spec.tube * clearance, 0.0)
-        free = _parts(plane, views, Tubes(width, doubt, *rest), evidence, near).all(axis=(1, 3)).ravel() & (quiet >= 0)
-        width = np.where(alive & weak, spec.tube, 0.0)
-        shaded = _parts(plane, views, Tubes(width, 0 * doubt, *rest), evidence, near).any(axis=(1, 3)).ravel()
-        free |= _silent(plane, views, flown, quiet, evidence, alive, free, spec) & ~shaded
+        tubes = Tubes(width, doubt, wavelength_m, spec.margin_m, SURE_M)
+        free = _passed(plane, views, tubes, evidence, near) & (quiet[0] >= 0)
+        free |= _silent(plane, flown, quiet, evidence, free | (percent == FREE), spec)
         percent[free & ~shown] = FREE
         percent[occupied] = OCCUPIED
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
 
 
-def _parts(plane: Plane, views: Views, tubes: Tubes, evidence: Floats, extensions: Floats) -> Bools:
-    """Parts of cells through which echoes came (rows, PARTS, columns, PARTS)."""
+def _passed(plane: Plane, views: Views, tubes: Tubes, evidence: Floats, extensions: Floats) -> Bools:
+    """Cells that echoes came through, in all their parts (cells)."""
     fine = Plane(plane.x, plane.y, plane.step / PARTS, plane.rows * PARTS, plane.columns * PARTS)
     free = np.zeros(fine.rows * fine.columns, bool)
     draw_tubes(fine, views, tubes, evidence >= SHOWN, extensions, free)
-    return free.reshape(plane.rows, PARTS, plane.columns, PARTS)
+    return np.asarray(free.reshape(plane.rows, PARTS, plane.columns, PARTS).all(axis=(1, 3)).ravel())
 
 
-def _silent(
-    plane: Plane,
-    views: Views,
-    flown: Floats,
-    quiet: Floats,
-    evidence: Floats,
-    alive: Bools,
-    free: Bools,
-    spec: LikelihoodSpec,
-) -> Bools:
-    """Cells from which poles and walls would have been received, but for places where surfaces may go on (cells)."""
+def _silent(plane: Plane, flown: Floats, quiet: Floats, evidence: Floats, free: Bools, spec: LikelihoodSpec) -> Bools:
+    """Cells from which poles and surfaces would have been received (cells)."""
     shown = evidence >= SHOWN
     beside = binary_dilation(shown.reshape(plane.rows, plane.columns), np.ones((3, 3), bool)).ravel()
-    extended = np.isfinite(_extensions(plane, views, alive, 2 * spec.extension_m)[:, 2])
-    walls = excluded_walls(plane, flown, shown, free)
-    return np.asarray((quiet >= spec.silence) & ~beside & ~extended & (walls >= spec.square))
+    pole, edge = quiet >= spec.silence
+    return without_surfaces(plane, flown, shown, free, pole & ~shown & ~free, beside | ~edge) & ~beside
 
 
 def _extensions(plane: Plane, views: Views, alive: Bools, extension_m: float) -> Floats:
@@ -187,8 +175,8 @@ def _visible(
     return alive, evidence, level
 
 
-def _clearance(views: Views, owner: Longs) -> tuple[Floats, Bools]:
-    """Width of the free path of each echo, 1 at the full level of its surface (k), and whether something blocks it.
+def _clearance(views: Views, owner: Longs) -> Floats:
+    """Width of the free path of each echo, 1 at the full level of its surface (k).
 
     A knife edge on the path of an echo takes three quarters of its amplitude there and back. One beside it takes less,
     about as the root of the level falls from 1 to 1/2 [Balanis2012]. So the level shows how near an edge may be.
@@ -202,7 +190,7 @@ def _clearance(views: Views, owner: Longs) -> tuple[Floats, Bools]:
     local = np.array([np.percentile(level[one], FULL_PERCENT) for one in near])
     share = np.minimum(level / np.maximum(local, LEAST_FULL * full[owner]), 1.0)
     known = (share >= CLEAR) & (level >= FAINT * np.percentile(level, FAINT_PERCENT))
-    return np.where(known, 2 * np.sqrt(share) - 1, 0.0), level < LEAST_FULL * full[owner]
+    return np.where(known, 2 * np.sqrt(share) - 1, 0.0)
 
 
 def _flown_through(views: Views, owner: Longs, flown: Floats) -> Bools:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Floats
 from ullage.grids import Grid
-from ullage.kernels.silence import Residual, cover, fit_between, listen
+from ullage.kernels.silence import Residual, Walls, cover, exclude, listen
 from ullage.kernels.surface_cells import Plane
 from ullage.processing.likelihood.echoes import Echoes, Left, gains_of
 from ullage.processing.likelihood.keyframes import Keyframe
@@ -16,54 +18,87 @@ from ullage.processing.likelihood.spec import LikelihoodSpec
 
 LATEST = 161  # keyframes whose strongest echoes show the level of a mirror
 LEAST_FLATNESS = 0.1
-NORMALS = 18  # of walls, over half a turn
+LOBE, DEPTH = 1, 1  # directions and bins about an echo that are its own
+NORMALS = 36  # of surfaces, over half a turn
+BENDS = 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0  # curvatures of surfaces [1/m]
+ROUNDS = 3  # of views, since surfaces that may stand somewhere hide what lies behind
 REACH_M = 5.0  # from which a wall seen square is surely received
 PLACE_M = 0.2  # between places of the track
 HALF_M = 0.15  # half length of the shortest wall that counts: shorter ones scatter as poles do
 
 
 class Silence:
-    """Log-likelihood that nothing stands in a cell, against a pole of the least size, as keyframes come.
+    """Log-likelihoods that nothing stands in a cell, against a pole of the least size and against an edge.
 
     The level of a mirror is that of the strongest echoes, so that samples need no calibration. A cylinder of radius a
-    returns the share sqrt(a / (a + r)) of a mirror's amplitude, at the range r [Balanis2012].
+    returns the share sqrt(a / (a + r)) of a mirror's amplitude, at the range r [Balanis2012]. The end of a surface
+    returns sqrt(wavelength / (2 pi^2 r)) [Keller1962], as much as a thin cylinder.
     """
 
     def __init__(self, grid: Grid, spec: LikelihoodSpec) -> None:
         self._plane = Plane(*grid.origin_m[:2], grid.step_m, *grid.shape)
         self._spec = spec
         self._levels: deque[float] = deque(maxlen=LATEST)
-        self.nats = np.zeros(grid.size)
+        self.nats = np.zeros((2, grid.size))
 
     def add(self, key: Keyframe, echoes: Echoes, left: Left | None) -> None:
-        """Take what a keyframe's echoes left in its samples."""
+        """Take what a keyframe received, without what its echoes explain elsewhere."""
         if len(echoes):
             flatness = abs(1 - echoes.state[0, 2] * echoes.state[0, 0])
             self._levels.append(float(echoes.level[0]) / np.sqrt(max(flatness, LEAST_FLATNESS)))
         if left is None or not self._levels or not key.aperture.phase:  # amplitudes leave too much unexplained
             return
         spec, rows = self._spec, np.bincount(key.aperture.sensor, minlength=len(key.aperture.axes))
-        gains = np.stack([gains_of(key.aperture, unit) for unit in left.directions])
-        expected = float(np.median(self._levels)) ** 2 * (gains**2 @ rows)
-        residual = Residual(left.energy, left.clutter, expected, left.low, left.high, key.start_m, key.bin_m)
+        gains = np.stack([gains_of(key.aperture, unit) for unit in left.directions]) ** 2 @ rows
+        energy = _with_echoes(key, echoes, left.energy, gains)
+        expected = float(np.median(self._levels)) ** 2 * gains
+        residual = Residual(energy, left.clutter, expected, left.low, left.high, key.start_m, key.bin_m)
         defocus_m = 2 * spec.window_m**2 / key.wavelength_m
         weight = spec.keyframe_m / (2 * spec.window_m)  # keyframes share frames
-        listen(self._plane, key.position[:2], residual, spec.least_obstacle_m / 2, defocus_m, weight, self.nats)
+        edge_m = key.wavelength_m / (2 * math.pi**2)
+        for radius_m, nats in zip((spec.least_obstacle_m / 2, edge_m), self.nats, strict=True):
+            listen(self._plane, key.position[:2], residual, radius_m, defocus_m, weight, nats)
 
 
-def excluded_walls(plane: Plane, flown: Floats, blocked: Bools, free: Bools) -> Floats:
-    """Share of the directions of a wall's normal under which none stands there (cells).
+def _with_echoes(key: Keyframe, echoes: Echoes, energy: NDArray[np.float32], gains: Floats) -> NDArray[np.float32]:
+    """Energy (d, b) by direction and bin, with that of the echoes at their own places.
 
-    It would have been seen square from the track, or it does not fit between free cells.
+    An obstacle where an echo comes from explains it as well, whether a surface is sure there or not.
+    """
+    out = energy.copy()
+    directions, bins = out.shape
+    for state, level in zip(echoes.state, echoes.level, strict=True):
+        d, k = round(state[1] / (2 * math.pi) * directions), round((state[0] - key.start_m) / key.bin_m)
+        own = np.ix_(
+            np.arange(d - LOBE, d + LOBE + 1) % directions, np.arange(max(k - DEPTH, 0), min(k + DEPTH + 1, bins))
+        )
+        out[own] = np.maximum(out[own], (level / state[0]) ** 2 * gains[d % directions])
+    return out
+
+
+def without_surfaces(plane: Plane, flown: Floats, shown: Bools, free: Bools, possible: Bools, ends: Bools) -> Bools:
+    """Cells in which no smooth surface stands (cells).
+
+    One that is seen square would have been received. Any other one goes on to both sides, as a plane or a cylinder,
+    until it ends. So it is excluded where it meets, before it may end, a cell in which it would have been received.
 
     Args:
         plane: the cells.
         flown: (f, 2) places of the track [m].
-        blocked: (cells) that end a line of sight.
+        shown: (cells) of known surfaces, which end a line of sight.
         free: (cells) through which echoes came.
+        possible: (cells) to look at; others end no line of sight.
+        ends: (cells) in which a surface may end unheard.
     """
     places = (np.unique(np.floor(flown / PLACE_M), axis=0) + 0.5) * PLACE_M
-    out = np.zeros((len(blocked), NORMALS), bool)
-    cover(plane, places, blocked, REACH_M, HALF_M, out)
-    fit_between(plane, free, 2 * HALF_M, out)
-    return np.asarray(out.mean(axis=1))
+    bends = np.array([0.0, *BENDS, *(-one for one in BENDS)])
+    out, blocked = possible, shown
+    for _ in range(ROUNDS):
+        square = np.zeros((len(shown), NORMALS), bool)
+        cover(plane, places, blocked, REACH_M, HALF_M, square)
+        square &= np.roll(square, 1, axis=1) & np.roll(square, -1, axis=1)  # normals are no surer than their step
+        square[free] = True
+        out = possible.copy()
+        exclude(plane, Walls(square, ends, bends), out)
+        blocked = shown | (possible & ~out & ~free)
+    return out

@@ -50,10 +50,9 @@ class LikelihoodSpec:
     tube: float = 0.6  # half width of the free space before an echo of full level, in Fresnel radii: an edge costs none
     margin_m: float = 0.05  # before an echo that is not declared free: its range's errors, and roughness
     vehicle_m: float = 0.25  # radius about the antenna that the vehicle fills
-    extension_m: float = 1.0  # how far a surface may go on unseen where an echo passes; twice that in silence
+    extension_m: float = 1.0  # how far a surface may go on unseen where an echo passes
     least_obstacle_m: float = 0.05  # diameter of the thinnest upright pole that silence excludes
     silence: float = 4.6  # nats from which silence excludes it: 99 %
-    square: float = 0.55  # share of a wall's normals that silence must exclude: surfaces fill few cells of open space
 
     def __post_init__(self) -> None:
         for field in fields(self):
