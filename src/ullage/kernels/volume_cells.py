@@ -1,4 +1,4 @@
-"""Loops that draw surfaces, the paths of their echoes and silence into the cells of a volume."""
+"""Loops that draw surfaces and silence into the cells of a volume."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from ullage.kernels.loops import inner, loop
 
 BEFORE_M = 0.1  # an echo is not hidden by what lies this near before it
 BODY_M = 0.25  # radius about the sensor that is free
-RINGS, SPOKES = 2, 8  # rays across a tube of free space, besides the middle one
+RINGS, SPOKES = 2, 8  # rays across the path of an echo, besides the middle one
 SIDE = 24  # cells along each side of the cube of directions in which silence is kept
+HIDDEN, IN_SIGHT, QUIET = 0, 1, 2  # what a keyframe sees of a place; quiet: it would have received an occluder there
 
 
 class Box(NamedTuple):
@@ -51,6 +52,9 @@ class Silence(NamedTuple):
     masked: NDArray[np.float64]  # (k, b) energy below which an echo stays unseen at each step of range
     blocked: NDArray[np.float64]  # (k, b) energy of echoes of unknown direction
     step_m: float  # of range
+    cubes: NDArray[np.float64]  # (s, 6, m, m) one-way amplitude gains
+    occluder_m: float  # amplitude times range of the least occluder before an antenna of 0 dBi [m]
+    wall_m: float  # the same of the weakest wall, seen square
     plane: NDArray[np.float64]  # (k, q, 4) unit vector and distance of the known surfaces; distance 0: none
 
 
@@ -111,7 +115,7 @@ def draw_discs(box, views, alive, widening, evidence, level, mark):  # type: ign
 
 @inner()
 def _strand(j, half):  # type: ignore[no-untyped-def]
-    """Distances of a ray of a tube across its middle."""
+    """Distances of a ray across the middle of a path."""
     if j == 0:
         return 0.0, 0.0
     radius, turn = half * (1 + (j - 1) // SPOKES) / RINGS, 2 * math.pi * ((j - 1) % SPOKES) / SPOKES
@@ -156,41 +160,11 @@ def find_hidden(box, views, evidence, level, least, zone, alive):  # type: ignor
 
 
 @loop()
-def draw_tubes(box, views, alive, tube, margin_m, occupied, free):  # type: ignore[no-untyped-def]
-    """Mark the cells between each place and its specular point, as wide as a share of the first Fresnel zone.
-
-    A tube consists of rays side by side. Each ray ends at the first surface that it meets: no echo came through it.
-
-    Args:
-        box: the cells.
-        views: the echoes.
-        alive: (k) which count.
-        tube: half width over the root of the distance [sqrt(m)].
-        margin_m: distance before the echo at which a tube ends [m].
-        occupied: (cells) that hold a surface.
-        free: (cells) set to True.
-    """
-    for k in range(len(alive)):
-        if not alive[k]:
-            continue
-        for j in range(1 + RINGS * SPOKES):
-            for i in range(int((views.range_m[k] - margin_m) / (0.4 * box.step))):
-                far = 0.4 * box.step * i
-                a, b = _strand(j, tube * math.sqrt(far))
-                cell = _at(box, views, k, far, a, b)
-                if cell < 0:
-                    continue
-                if occupied[cell] and far > BODY_M:
-                    break
-                free[cell] = True
-
-
-@loop()
 def find_crossed(box, views, evidence, level, least, alive, tube, crossed):  # type: ignore[no-untyped-def]
-    """Add up the weights of the echoes that came through each cell, though a surface fills their tube there.
+    """Add up the weights of the echoes that came through each cell, though a surface fills their path there.
 
     Such an echo contradicts an opaque surface. Only echoes stronger than the surface count, since a weaker one may be
-    an image in it. Things narrower than the tube, such as poles, do not block an echo.
+    an image in it. Things narrower than the path, such as poles, do not block an echo.
 
     Args:
         box: the cells.
@@ -199,7 +173,7 @@ def find_crossed(box, views, evidence, level, least, alive, tube, crossed):  # t
         level: (cells) of the strongest echo of each [m].
         least: evidence of an occupied cell.
         alive: (k) which count.
-        tube: half width over the root of the distance [sqrt(m)].
+        tube: half width of a path over the root of the distance [sqrt(m)].
         crossed: (cells) added to.
     """
     met = np.empty(1 + RINGS * SPOKES, np.int64)
@@ -243,10 +217,20 @@ def _cube_cell(x, y, z):  # type: ignore[no-untyped-def]
 
 
 @inner()
-def _listen(box, silence, k, cubes, least_m, occupied, heard):  # type: ignore[no-untyped-def]
-    """Set steps of range at which an occluder would have been received, by direction of the cube (6, SIDE, SIDE, b)."""
+def _power(silence, k, unit):  # type: ignore[no-untyped-def]
+    """Two-way power gain in a direction, summed over the frames of a keyframe."""
+    power = 0.0
+    for s in range(len(silence.cubes)):
+        power += silence.rows[k, s] * pattern_gain(silence.cubes[s], silence.turns[k, s], unit) ** 2
+    return power
+
+
+@inner()
+def _listen(box, silence, k, occupied, view):  # type: ignore[no-untyped-def]
+    """Set what one keyframe sees at each step of range, by direction of the cube (6, SIDE, SIDE, b)."""
     unit, steps = np.empty(3), silence.masked.shape[1]
-    heard[:] = False
+    p = silence.position[k]
+    view[:] = HIDDEN
     for face in range(6):
         for i in range(SIDE):
             for j in range(SIDE):
@@ -258,9 +242,7 @@ def _listen(box, silence, k, cubes, least_m, occupied, heard):  # type: ignore[n
                     unit[0], unit[1], unit[2] = a * size, side * size, b * size
                 else:
                     unit[0], unit[1], unit[2] = a * size, b * size, side * size
-                power = 0.0
-                for s in range(len(cubes)):
-                    power += silence.rows[k, s] * pattern_gain(cubes[s], silence.turns[k, s], unit) ** 2
+                power = _power(silence, k, unit)
                 end = 1e9
                 for q in range(silence.plane.shape[1]):
                     plane = silence.plane[k, q]
@@ -271,49 +253,57 @@ def _listen(box, silence, k, cubes, least_m, occupied, heard):  # type: ignore[n
                     far = (n + 0.5) * silence.step_m
                     if far >= end:
                         break
-                    energy = power * (least_m / far) ** 2
+                    energy = power * (silence.occluder_m / far) ** 2
                     if silence.blocked[k, n] > energy:
                         break
-                    p = silence.position[k]
                     cell = _cell(box, p[0] + far * unit[0], p[1] + far * unit[1], p[2] + far * unit[2])
                     if cell < 0 or (occupied[cell] and far > BODY_M):
                         break
-                    heard[face, i, j, n] = silence.masked[k, n] <= energy
+                    view[face, i, j, n] = QUIET if silence.masked[k, n] <= energy else IN_SIGHT
 
 
 @loop()
-def count_silence(box, silence, cubes, least_m, occupied, looks):  # type: ignore[no-untyped-def]
+def count_silence(box, lattice, silence, normals, occupied, looks, reach_m):  # type: ignore[no-untyped-def]
     """Count the keyframes that would have received an occluder in each cell, and did not.
 
     Args:
         box: the cells.
-        silence: what they did not receive.
-        cubes: (s, 6, m, m) one-way amplitude gains.
-        least_m: amplitude times range of the least occluder before an antenna of 0 dBi [m].
+        lattice: coarser cells that cover them.
+        silence: what the keyframes did not receive.
+        normals: (n, 3) unit vectors.
         occupied: (cells) that hold a surface.
-        looks: (cells) int32, added to.
+        looks: (cells of the lattice) int32, added to.
+        reach_m: (k, n) set to the distance up to which a wall across each normal would have been received [m].
     """
     steps = silence.masked.shape[1]
-    heard = np.empty((6, SIDE, SIDE, steps), np.bool_)
+    view = np.empty((6, SIDE, SIDE, steps), np.uint8)
     reach = steps * silence.step_m
+    corner, count = (lattice.z, lattice.y, lattice.x), (lattice.levels, lattice.rows, lattice.columns)
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     for k in range(len(silence.position)):
-        _listen(box, silence, k, cubes, least_m, occupied, heard)
+        _listen(box, silence, k, occupied, view)
         p = silence.position[k]
-        low = np.empty(3, np.int64)
-        high = np.empty(3, np.int64)
-        corner = (box.z, box.y, box.x)
-        count = (box.levels, box.rows, box.columns)
+        for n in range(len(normals)):
+            face, a, b = _cube_cell(normals[n, 0], normals[n, 1], normals[n, 2])
+            power = _power(silence, k, normals[n])
+            reach_m[k, n] = 0.0
+            for i in range(steps):
+                far = (i + 0.5) * silence.step_m
+                if view[face, a, b, i] == HIDDEN:
+                    break
+                if silence.masked[k, i] <= power * (silence.wall_m / far) ** 2:
+                    reach_m[k, n] = far
         for d in range(3):
-            low[d] = max(int((p[2 - d] - reach - corner[d]) / box.step), 0)
-            high[d] = min(int((p[2 - d] + reach - corner[d]) / box.step) + 1, count[d])
+            low[d] = max(int((p[2 - d] - reach - corner[d]) / lattice.step), 0)
+            high[d] = min(int((p[2 - d] + reach - corner[d]) / lattice.step) + 1, count[d])
         for i in range(low[0], high[0]):
-            z = box.z + (i + 0.5) * box.step - p[2]
+            z = lattice.z + (i + 0.5) * lattice.step - p[2]
             for j in range(low[1], high[1]):
-                y = box.y + (j + 0.5) * box.step - p[1]
+                y = lattice.y + (j + 0.5) * lattice.step - p[1]
                 for m in range(low[2], high[2]):
-                    x = box.x + (m + 0.5) * box.step - p[0]
+                    x = lattice.x + (m + 0.5) * lattice.step - p[0]
                     n = int(math.sqrt(x * x + y * y + z * z) / silence.step_m)
                     if n < steps:
                         face, a, b = _cube_cell(x, y, z)
-                        if heard[face, a, b, n]:
-                            looks[(i * box.rows + j) * box.columns + m] += 1
+                        if view[face, a, b, n] == QUIET:
+                            looks[(i * lattice.rows + j) * lattice.columns + m] += 1

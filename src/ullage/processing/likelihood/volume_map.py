@@ -1,4 +1,4 @@
-"""Cells of a volume, rendered from surfaces: occupied where echoes show them, free along their paths and by silence."""
+"""Cells of a volume: occupied where the echoes of surfaces show them, free where nothing was received."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import binary_dilation
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from ullage.arrays import Bools, Floats, Longs
 from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
@@ -18,23 +18,19 @@ from ullage.kernels.volume_cells import (
     SpatialViews,
     count_silence,
     draw_discs,
-    draw_tubes,
     find_crossed,
     find_hidden,
 )
 from ullage.processing.likelihood.cells import (
-    CLEAR,
     FLOWN_M,
     FLOWN_SHARE,
     FREE,
     FULL_NATS,
-    FULL_PERCENT,
     LEAST_FLATNESS,
     MOST_BEND,
     OCCUPIED,
     ROUNDS,
     SEEN_SHARE,
-    SURE_M,
 )
 from ullage.processing.likelihood.directions import DirectedEchoes
 from ullage.processing.likelihood.folding import folded
@@ -53,12 +49,14 @@ RESOLVED = 0.9  # share of the likelihood that the direction of a surface on the
 LEAST_SHARE = 0.05  # of a rival whose cells are ambiguous
 LOUDEST_DB = 3.0  # of a flat surface against a mirror: other echoes at its range may add as much
 MOST_HALF_M, MOST_ZONES, NEAR_FOOT_M = 1.2, 4.0, 1.0  # of what one echo shows; of points that share a level [m]
-NARROW = 0.5  # width of a tube over that of a plane, where the level of each echo narrows it
+NARROW = 0.5  # width of the path that a crossed surface must fill, over that of a tube of free space in a plane
 CELL_MARGIN_M = 0.1  # more than in a plane, which asks for whole cells: pulse width and half a cell
 STEP_M = 0.1  # of range, in which silence is kept
 LEAST_OCCLUDER_DB = (
     -22.0
 )  # against a mirror: a metal pole of 5 cm at 3 m, by the root of radius over 2 (range + radius)
+WALL_DB = -15.0  # of the weakest wall seen square against a mirror [ITU-R-P2040]
+COARSE, NORMALS = 2, 168  # cells along a block in which silence is counted; directions in which space is closed off
 CLOSING_ODDS = 300.0  # log-odds of a surface that closes off free space
 BLOCKED = 10.0  # an echo of open direction ends silence unless it is as much weaker than the least occluder
 LEAST_LOOKS = 5  # keyframes that would have received an occluder
@@ -113,12 +111,12 @@ def render(
         The map, and which surfaces are on it: of one direction, not hidden behind others, and not flown through.
     """
     wavelength_m = radar.wavelength_m
-    box = Box(*grid.origin_m, grid.step_m, *grid.shape)
+    box = _box(grid)
     percent = np.full(grid.size, UNKNOWN, np.int8)
     resolved = np.array([one.share >= RESOLVED for one in surfaces], bool)
     plausible = np.array([_is_plausible(one, radar.mirror_m) for one in surfaces], bool)
     kept = np.zeros(len(surfaces), bool)
-    occupied, shown, free = np.zeros((3, grid.size), bool)
+    occupied, shown = np.zeros((2, grid.size), bool)
     near, fold_m = np.zeros((0, 3)), np.zeros(len(surfaces))
     if resolved.any():
         views, owner, fits = _views(
@@ -135,19 +133,22 @@ def render(
         crossed, tube = np.zeros(grid.size), NARROW * spec.tube * math.sqrt(wavelength_m / 2)
         find_crossed(box, views, evidence, level, spec.evidence, alive, tube, crossed)
         occupied = shown & (crossed < spec.crossed * evidence)
-        free = _tubes(box, views, owner, alive, occupied, tube, spec)
         sure = np.array([one.log_odds >= CLOSING_ODDS for one in surfaces], bool)[resolved]
         near = _outline(views, alive & sure[owner] & fits, math.sqrt(wavelength_m / 2))
-    silent = _silent(box, (surfaces, resolved, fold_m), quiets, occupied, radar, spec)
-    silent &= _enclosed(grid, np.concatenate([near, flown]), silent)
+    near = np.concatenate([near, flown])
+    silent = _silent(grid, (surfaces, resolved, fold_m), quiets, occupied, near, radar, spec)
     _ambiguous(
         box, [one for one, sure in zip(surfaces, resolved, strict=True) if not sure], wavelength_m, spec, percent
     )
     beside = binary_dilation(shown.reshape(grid.shape), np.ones((3, 3, 3), bool)).ravel()
-    percent[(free | silent) & ~beside] = FREE
+    percent[silent & ~beside] = FREE
     percent[_body(grid, flown, spec.vehicle_m)] = FREE
     percent[occupied] = OCCUPIED
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
+
+
+def _box(grid: Grid) -> Box:
+    return Box(*grid.origin_m, grid.step_m, *grid.shape)
 
 
 def _body(grid: Grid, flown: Floats, radius_m: float) -> Longs:
@@ -273,24 +274,6 @@ def _visible(
     return alive, evidence, level
 
 
-def _tubes(
-    box: Box, views: SpatialViews, owner: Longs, alive: Bools, occupied: Bools, tube: float, spec: LikelihoodSpec
-) -> Bools:
-    """Cells before echoes that are about as strong as the strongest of their surface, so that nothing is in between."""
-    flatness = np.abs(1 - views.bend[:, 1] * views.range_m)
-    level = views.level / np.sqrt(np.maximum(flatness, LEAST_FLATNESS))
-    full = np.array([np.percentile(level[owner == one], FULL_PERCENT) for one in range(owner.max() + 1)])
-    clear = alive & (level >= CLEAR * full[owner])
-    free, sure, beyond = np.zeros((3, len(occupied)), bool)
-    draw_tubes(box, views, clear, tube, spec.margin_m + CELL_MARGIN_M, occupied, free)
-    draw_tubes(box, views, clear, tube, SURE_M, occupied, sure)
-    extension, level = np.zeros((2, len(occupied)))
-    wide = views._replace(half_m=np.full_like(views.half_m, spec.extension_m))
-    draw_discs(box, wide, alive, 1.0, extension, level, np.empty(len(occupied), np.int32))
-    beyond = extension > 0
-    return np.asarray(free & (sure | ~beyond))
-
-
 def _outline(views: SpatialViews, alive: Bools, zone: float) -> Floats:
     """Points (n, 3) about the specular points [m], a first Fresnel zone (`zone` times the root of the range) wide."""
     foot = views.position + views.range_m[:, None] * views.unit
@@ -299,27 +282,49 @@ def _outline(views: SpatialViews, alive: Bools, zone: float) -> Floats:
     return np.concatenate([foot + sign * aside[:, axis] for axis in (0, 1) for sign in (-1, 1)])[np.tile(alive, 4)]
 
 
-def _enclosed(grid: Grid, points: Floats, wanted: Bools) -> Bools:
-    """Which of the wanted cells lie in the convex hull of points (n, 3): only there do surfaces close off the space."""
-    out = np.zeros(len(wanted), bool)
-    cells = np.flatnonzero(wanted)
-    try:
-        hull = Delaunay(points[np.unique(np.asarray(Delaunay(points).convex_hull).ravel())])
-    except (QhullError, ValueError):
-        return out
-    i, j, k = np.unravel_index(cells, grid.shape)
-    out[cells] = hull.find_simplex(np.stack([grid.x_m[k], grid.y_m[j], grid.z_m[i]], axis=1)) >= 0
-    return out
-
-
 def _silent(
-    box: Box, given: tuple[list[SpatialSurface], Bools, Floats], quiets: Sequence[Quiet], occupied: Bools,
-    radar: Radar, spec: LikelihoodSpec,
+    grid: Grid, given: tuple[list[SpatialSurface], Bools, Floats], quiets: Sequence[Quiet], occupied: Bools,
+    near: Floats, radar: Radar, spec: LikelihoodSpec,
 ) -> Bools:  # fmt: skip
-    """Cells in which the least occluder would have been received, and was not."""
+    """Cells in which the least occluder would have been received and was not, in the space that is closed off.
+
+    That space lies within the flight, the sure surfaces (`near`: points of both) and the walls that would have been
+    received, in each of many directions.
+    """
     if not quiets:
-        return np.zeros(len(occupied), bool)
-    wavelength_m = radar.wavelength_m
+        return np.zeros(grid.size, bool)
+    box, normals = _box(grid), _directions(NORMALS)
+    count = [-(-cells // COARSE) for cells in grid.shape]
+    lattice = box._replace(step=COARSE * box.step, levels=count[0], rows=count[1], columns=count[2])
+    silence = _silence(given, quiets, radar, spec)
+    looks, reach_m = np.zeros(math.prod(count), np.int32), np.zeros((len(quiets), NORMALS))
+    count_silence(box, lattice, silence, normals, occupied, looks, reach_m)
+    reach = np.sort(silence.position @ normals.T + reach_m, axis=0)[-min(LEAST_LOOKS, len(quiets))]
+    bound = np.maximum(reach, (near @ normals.T).max(axis=0))
+    fine = looks.reshape(count)
+    for axis in range(3):
+        fine = fine.repeat(COARSE, axis)
+    fine = fine[tuple(slice(cells) for cells in grid.shape)]
+    index = np.argwhere(fine >= LEAST_LOOKS)
+    centre = np.array([box.x, box.y, box.z]) + box.step * (index[:, ::-1] + 0.5)
+    inside = index[np.all(centre.astype(np.float32) @ normals.T.astype(np.float32) <= bound, axis=1)]
+    out = np.zeros(grid.shape, bool)
+    out[tuple(inside.T)] = True
+    return out.ravel()
+
+
+def _directions(count: int) -> Floats:
+    """Unit vectors (count, 3) that cover the sphere evenly, with the three axes among them."""
+    z = 1 - 2 * (np.arange(count - 6) + 0.5) / (count - 6)
+    turn = math.pi * (1 + math.sqrt(5)) * np.arange(count - 6)
+    side = np.sqrt(1 - z**2)
+    return np.concatenate([np.eye(3), -np.eye(3), np.column_stack([side * np.cos(turn), side * np.sin(turn), z])])
+
+
+def _silence(
+    given: tuple[list[SpatialSurface], Bools, Floats], quiets: Sequence[Quiet], radar: Radar, spec: LikelihoodSpec
+) -> Silence:
+    """What all keyframes did not receive, and the surfaces and open echoes that end their silence."""
     known = {one.number: (one, fold) for one, sure, fold in zip(*given, strict=True) if sure}
     most = max(len(one.range_m) for one in quiets)
     plane = np.zeros((len(quiets), max(most, 1), 4))
@@ -327,25 +332,25 @@ def _silent(
     blocked = np.zeros_like(masked)
     for k, quiet in enumerate(quiets):
         for q, (range_m, energy, number) in enumerate(zip(quiet.range_m, quiet.energy, quiet.number, strict=True)):
+            before_m = range_m - spec.margin_m - CELL_MARGIN_M
             if number in known:
                 one, fold_m = known[number]
                 best = one.leader
                 projector = PROJECTORS[one.shapes[best]][None]
                 unit = transported(one.states[best][None], projector, (quiet.position - one.position)[None])[0, 1:4]
-                plane[k, q] = *unit, max(range_m + fold_m - spec.margin_m - CELL_MARGIN_M, 1e-3)
+                plane[k, q] = *unit, max(before_m + fold_m, 1e-3)
             else:
-                first = max(int((range_m - spec.margin_m - CELL_MARGIN_M) / STEP_M), 0)
-                blocked[k, first : int(range_m / STEP_M) + 2] = np.maximum(
-                    blocked[k, first : int(range_m / STEP_M) + 2], BLOCKED * energy
-                )
+                near = slice(max(int(before_m / STEP_M), 0), int(range_m / STEP_M) + 2)
+                blocked[k, near] = np.maximum(blocked[k, near], BLOCKED * energy)
     turns, rows = np.zeros((len(quiets), len(radar.cubes), 3, 3)), np.zeros((len(quiets), len(radar.cubes)))
     for k, quiet in enumerate(quiets):  # a sensor may have joined later
         turns[k, : len(quiet.rows)], rows[k, : len(quiet.rows)] = quiet.turns, quiet.rows
-    silence = Silence(np.stack([one.position for one in quiets]), turns, rows, masked, blocked, STEP_M, plane)
-    looks = np.zeros(len(occupied), np.int32)
-    least_m = wavelength_m / (8 * math.pi) * 10 ** (LEAST_OCCLUDER_DB / 20)
-    count_silence(box, silence, radar.cubes, least_m, occupied, looks)
-    return np.asarray(looks >= LEAST_LOOKS)
+    place, mirror_m = np.stack([one.position for one in quiets]), radar.mirror_m
+    if not math.isfinite(mirror_m):  # uncalibrated samples: the strongest surface is the mirror
+        levels_m = [np.median([seen.level for seen in one.sightings.values()]) for one, _ in known.values()]
+        mirror_m = float(max(levels_m, default=0.0))
+    occluder_m, wall_m = (mirror_m * 10 ** (level_db / 20) for level_db in (LEAST_OCCLUDER_DB, WALL_DB))
+    return Silence(place, turns, rows, masked, blocked, STEP_M, radar.cubes, occluder_m, wall_m, plane)
 
 
 def _ambiguous(
