@@ -57,20 +57,9 @@ def spheres_of(surfaces: Sequence[SmoothSurface], still: Surfaces) -> tuple[Sphe
             found.append(whole)
         if whole is not None or np.linalg.norm(np.ptp(surface.corners.reshape(-1, 3), axis=0)) < _WIDE_M:
             continue
-        level = along_axis(surface.normals, surface.area)
-        if level.all():
-            continue
-        closing = [sphere for part in _end_caps(surface, level) if (sphere := _fit_whole(part)) is not None]
-        found += closing or _grow_domes(surface)
+        bent = np.flatnonzero(~along_axis(surface.normals, surface.area))
+        found += _grow_domes(surface.take(bent)) if len(bent) >= _FEWEST else []
     return tuple(_with_masks(sphere, still) for sphere in found)
-
-
-def _end_caps(surface: SmoothSurface, level: Bools) -> list[SmoothSurface]:
-    """Return the parts of a surface that close a cylinder smoothly: those without the facets along the axis (n)."""
-    if not level.any():
-        return []
-    rest_of = surface.take(np.flatnonzero(~level))
-    return [rest_of.take(mine) for mine in connected_parts(rest_of) if len(mine) >= _FEWEST]
 
 
 def _grow_domes(surface: SmoothSurface) -> list[Sphere]:
