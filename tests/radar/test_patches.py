@@ -98,6 +98,7 @@ def truth(make: Callable[[float], Mesh], edge_m: float) -> NDArray[np.complex64]
     pytest.param(ring, 0.01, 0.08, -18, -34, marks=pytest.mark.slow),  # +5, +3
     pytest.param(bend, 0.008, 0.03, -16, -26, marks=pytest.mark.slow),  # -9, -13
     pytest.param(vessel, 0.012, 0.05, -30, -34, marks=pytest.mark.slow),  # -8, -15
+    pytest.param(vessel, 0.012, 0.1, -15, -27, marks=pytest.mark.slow),  # 0, -12; without normals of the wall -19
 ])  # fmt: skip
 def test_a_coarse_curved_surface_echoes_as_a_fine_one(make, fine_m, edge_m, worst_db, median_db):
     off = off_db(frames(make(edge_m)), truth(make, fine_m))
