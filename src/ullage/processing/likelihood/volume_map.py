@@ -95,7 +95,7 @@ def quiet_of(echoes: DirectedEchoes, number: Longs) -> Quiet:
 
 def render(
     grid: Grid, surfaces: list[SpatialSurface], quiets: Sequence[Quiet], flown: Floats, radar: Radar,
-    spec: LikelihoodSpec,
+    spec: LikelihoodSpec, ends_m: tuple[float, float] = (-math.inf, math.inf),
 ) -> tuple[OccupancyMap, Bools]:  # fmt: skip
     """Draw a map.
 
@@ -106,6 +106,7 @@ def render(
         flown: (f, 3) places of the track [m].
         radar: the sensors.
         spec: parameters.
+        ends_m: heights of floor and ceiling; infinite where not known.
 
     Returns:
         The map, and which surfaces are on it: of one direction, not hidden behind others, and not flown through.
@@ -135,8 +136,8 @@ def render(
         occupied = shown & (crossed < spec.crossed * evidence)
         sure = np.array([one.log_odds >= CLOSING_ODDS for one in surfaces], bool)[resolved]
         near = _outline(views, alive & sure[owner] & fits, math.sqrt(wavelength_m / 2))
-    near = np.concatenate([near, flown])
-    silent = _silent(grid, (surfaces, resolved, fold_m), quiets, occupied, near, radar, spec)
+    near = _between(np.concatenate([near, flown]), ends_m, spec.margin_m + CELL_MARGIN_M)
+    silent = _silent(grid, (surfaces, resolved, fold_m), quiets, occupied, near, radar, spec, ends_m)
     _ambiguous(
         box, [one for one, sure in zip(surfaces, resolved, strict=True) if not sure], wavelength_m, spec, percent
     )
@@ -282,9 +283,17 @@ def _outline(views: SpatialViews, alive: Bools, zone: float) -> Floats:
     return np.concatenate([foot + sign * aside[:, axis] for axis in (0, 1) for sign in (-1, 1)])[np.tile(alive, 4)]
 
 
+def _between(points: Floats, ends_m: tuple[float, float], margin_m: float) -> Floats:
+    """Points (n, 3), and those above and below them at floor and ceiling: walls reach from one to the other."""
+    low, high = ends_m[0] + margin_m, ends_m[1] - margin_m
+    inside = np.column_stack([points[:, :2], np.clip(points[:, 2], low, high)])
+    levels = [np.column_stack([points[:, :2], np.full(len(points), z)]) for z in (low, high) if math.isfinite(z)]
+    return np.concatenate([inside, *levels])
+
+
 def _silent(
     grid: Grid, given: tuple[list[SpatialSurface], Bools, Floats], quiets: Sequence[Quiet], occupied: Bools,
-    near: Floats, radar: Radar, spec: LikelihoodSpec,
+    near: Floats, radar: Radar, spec: LikelihoodSpec, ends_m: tuple[float, float],
 ) -> Bools:  # fmt: skip
     """Cells in which the least occluder would have been received and was not, in the space that is closed off.
 
@@ -301,6 +310,7 @@ def _silent(
     count_silence(box, lattice, silence, normals, occupied, looks, reach_m)
     reach = np.sort(silence.position @ normals.T + reach_m, axis=0)[-min(LEAST_LOOKS, len(quiets))]
     bound = np.maximum(reach, (near @ normals.T).max(axis=0))
+    bound[[2, 5]] = np.minimum(bound[[2, 5]], np.array([ends_m[1], -ends_m[0]]) - spec.margin_m - CELL_MARGIN_M)
     fine = looks.reshape(count)
     for axis in range(3):
         fine = fine.repeat(COARSE, axis)

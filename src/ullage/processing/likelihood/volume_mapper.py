@@ -16,6 +16,7 @@ from ullage.processing.baseband import as_baseband
 from ullage.processing.inverse_sensor import mirror_m
 from ullage.processing.likelihood.directions import DirectionFinder
 from ullage.processing.likelihood.keyframes import Keyframe, KeyframeSelector
+from ullage.processing.likelihood.level_edges import LevelEdges
 from ullage.processing.likelihood.mapper import CELL_M, LikelihoodMapper
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.volume_map import Quiet, Radar, quiet_of, render, smoothed
@@ -58,6 +59,7 @@ class VolumeMapper(LikelihoodMapper):
         floor = None if floor_z_m is None else checks.number("floor_z_m", floor_z_m, "mapper")
         self._space = SpatialTracker(self.spec, floor)
         self._work = Workload()
+        self._edges = LevelEdges(grid)
         self._cubes: dict[str, Floats] = {}
         self._mirror_m = np.inf
         self._wavelength_m = self._fold_m = 0.0
@@ -92,6 +94,7 @@ class VolumeMapper(LikelihoodMapper):
         yield
         number = self._space.update(echoes, self._mirror_m)
         if key.aperture.phase:
+            self._edges.add(key, echoes, self._space.surfaces)
             self._quiet[tuple(np.floor(key.position / QUIET_M).astype(int).tolist())] = quiet_of(echoes, number)
 
     def _drawn(self) -> tuple[OccupancyMap, list[SpatialSurface], Bools]:
@@ -102,7 +105,8 @@ class VolumeMapper(LikelihoodMapper):
             unknown = np.full(self.grid.shape, UNKNOWN, np.int8)
             return OccupancyMap(self.grid, unknown, "likelihood"), [], np.zeros(0, bool)
         radar = Radar(np.stack(list(self._cubes.values())), self._wavelength_m, self._fold_m, self._mirror_m)
-        omap, kept = render(self.grid, surfaces, list(self._quiet.values()), flown, radar, self.spec)
+        ends = self._edges.nearest(float(flown[:, 2].min()), float(flown[:, 2].max()))
+        omap, kept = render(self.grid, surfaces, list(self._quiet.values()), flown, radar, self.spec, ends)
         return omap, surfaces, kept
 
     def map(self) -> OccupancyMap:
