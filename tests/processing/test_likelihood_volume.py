@@ -345,3 +345,27 @@ def test_before_any_frame_a_volume_is_unknown():
     omap = Mapper(GRID, method="likelihood").map()
     assert not omap.occupied.any()
     assert not omap.free.any()
+
+
+def level_edge(axis, at_m, z_m):
+    """The level edge of an upright wall, by the law of a straight edge [Keller1962]."""
+
+    def echo(at):
+        r, h = np.abs(at_m - at[:, axis]), z_m - at[:, 2]
+        ray = np.zeros_like(at)
+        ray[:, axis], ray[:, 2] = at_m - at[:, axis], h
+        far = np.hypot(r, h)
+        tangent = np.maximum(np.abs(h) / r, 1e-3)
+        wavenumber = 2 * np.pi / next(iter(RIG.values())).wavelength_m
+        level = np.minimum(1 / (2 * np.sqrt(np.pi * wavenumber * far) * tangent), 1.0)
+        return far, ray / far[:, None], 0.5 * level
+
+    return echo
+
+
+@pytest.mark.parametrize("floor_z_m", [0.2, 0.35])
+def test_edges_of_walls_show_the_height_of_the_floor(floor_z_m):
+    walls = [plane(sign * np.eye(3)[k], sign * side[k]) for k in (0, 1) for sign, side in ((1, HIGH), (-1, LOW))]
+    edges = [level_edge(k, side[k], floor_z_m) for k in (0, 1) for side in (LOW, HIGH)]
+    lowest = [centres(mapped(flown(climbing(), *walls, *more)).map().free)[:, 2].min() for more in ([], edges)]
+    assert lowest[0] < floor_z_m < lowest[1] < floor_z_m + 0.4

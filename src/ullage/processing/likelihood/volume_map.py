@@ -50,7 +50,7 @@ LEAST_SHARE = 0.05  # of a rival whose cells are ambiguous
 LOUDEST_DB = 3.0  # of a flat surface against a mirror: other echoes at its range may add as much
 MOST_HALF_M, MOST_ZONES, NEAR_FOOT_M = 1.2, 4.0, 1.0  # of what one echo shows; of points that share a level [m]
 NARROW = 0.5  # width of the path that a crossed surface must fill, over that of a tube of free space in a plane
-CELL_MARGIN_M = 0.1  # more than in a plane, which asks for whole cells: pulse width and half a cell
+CELL_MARGIN_M = 0.15  # more than in a plane, which asks for whole cells: pulse width and half a block
 STEP_M = 0.1  # of range, in which silence is kept
 LEAST_OCCLUDER_DB = (
     -22.0
