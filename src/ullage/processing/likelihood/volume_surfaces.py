@@ -35,7 +35,7 @@ STEPS = np.array([1e-4, 1e-5, 1e-5, 1e-4])  # of the numerical derivatives: m, r
 UPRIGHT = np.array(
     [0.3, 0.0, 0.3, 0.5]
 )  # standard deviation of an upright cylinder before its first echo: m, rad; range
-BENDS = np.array([-1.5, -0.5, 1.0, 2.0])  # its curvature times range: two hollow ones, an edge, one beyond its centre
+BENDS = np.array([-1.5, -0.5, 1.0, 2.0])  # its curvature times range, as a sum of Gaussians [AlspachSorenson1972]
 ROUND_NATS = 5.0  # by which a plane is preferred to a cylinder at first
 NEAR_M = 0.25  # a rival whose range differs by more does not predict an echo
 SAME_RAD, GROUP_RAD = math.radians(3.0), math.radians(10.0)  # rivals this near are one; are one direction on the map
