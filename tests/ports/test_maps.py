@@ -391,3 +391,24 @@ def test_viewers_get_the_surfaces_of_a_plane_map_as_lines_along_them(tmp_path: P
     np.testing.assert_allclose(ends[..., 0], 2.0)
     np.testing.assert_allclose(ends.mean(axis=1)[:, 1], [0.0, 0.1, 0.2], atol=1e-9)
     assert set(ends[..., 2].ravel()) == {1.5}
+
+
+def test_surfaces_of_a_volume_are_two_lines_at_each_point(tmp_path: Path) -> None:
+    grid = ul.Grid((0.0, 0.0, 0.0), 0.1, (20, 20, 20))
+    points, normals = np.array([[0.5, 0.5, 2.0], [0.9, 0.5, 2.0]]), np.tile([0.0, 0.0, -1.0], (2, 1))
+    ceiling = MappedSurface(
+        "plane", np.zeros(3), np.array([2.0, 0, 0, 1.0, 0]), np.eye(5), 40.0, 2, True, points, normals
+    )  # fmt: skip
+    with ul.sink(tmp_path / "map.mcap") as sink:
+        sink.write(some_frames(2))
+        sink.write(ul.OccupancyMap(grid, np.zeros(grid.shape, np.int8), surfaces=(ceiling,)))
+    with AnyReader([tmp_path / "map.mcap"], default_typestore=ros.typestore()) as reader:
+        (drawn, *_) = [
+            reader.deserialize(data, one.msgtype) for one, _, data in reader.messages() if one.topic == "/map/surfaces"
+        ]
+    _, shown = drawn.markers
+    ends = np.array([(p.x, p.y, p.z) for p in shown.points]).reshape(4, 2, 3)
+    np.testing.assert_allclose(ends[..., 2], 2.0)
+    np.testing.assert_allclose(ends.mean(axis=1), np.tile(points, (2, 1)), atol=1e-9)
+    along = ends[:, 1] - ends[:, 0]
+    np.testing.assert_allclose(np.sum(along[:2] * along[2:], axis=1), 0.0, atol=1e-9)

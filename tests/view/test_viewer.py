@@ -261,3 +261,15 @@ def test_surfaces_are_lines_along_them_by_kind(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.asarray(strips).mean(axis=1)[:, 1], [0.0, 0.1], atol=1e-6)
     ((_, hidden),) = rows(tmp_path / "map.rrd", "world/surfaces/edge", "strips")
     assert not hidden  # not on the map
+
+
+def test_surfaces_of_a_volume_are_shown_at_their_own_height(tmp_path: Path) -> None:
+    grid = ul.Grid((0.0, 0.0, 0.0), 0.1, (20, 20, 20))
+    points, normals = np.array([[0.5, 0.5, 1.8]]), np.array([[0.0, 0.0, -1.0]])
+    given = np.zeros(3), np.array([1.8, 0, 0, 1.0, 0]), np.eye(5), 40.0, 1
+    with ul.sink(f"viewer:{tmp_path / 'map.rrd'}") as sink:
+        ceiling = MappedSurface("plane", *given, True, points, normals)
+        sink.write(ul.OccupancyMap(grid, np.zeros(grid.shape, np.int8), surfaces=(ceiling,)))
+    ((_, strips),) = rows(tmp_path / "map.rrd", "world/surfaces/plane", "strips")
+    assert np.asarray(strips).shape == (2, 2, 3)
+    np.testing.assert_allclose(np.asarray(strips)[..., 2], 1.8, atol=1e-6)
