@@ -26,7 +26,22 @@ def test_the_prior_is_a_matern_process_with_sparse_precision():
     np.testing.assert_allclose(np.diag(rate @ np.linalg.inv(precision) @ rate.T), (sigma / time) ** 2, rtol=1e-5)
 
 
+def test_a_drift_keeps_its_values_and_rates_under_another_prior():
+    """A process with three derivatives in its state follows them exactly at the knots of the other prior."""
+    slow, quick = (DriftPrior(0.0, 30.0, 0.2, time_s) for time_s in (10.0, 2.5))
+    t_s = np.arange(0.0, 30.1, 0.5)  # the knots of the second prior
+    offset = 0.2 * np.stack([np.sin(t_s / 8.0), np.cos(t_s / 6.0)], axis=1)
+    drift = slow.fitted(t_s, offset, 1e-3)
+    np.testing.assert_allclose(drift.at(t_s), offset, atol=2e-3)
+    other = drift.under(quick)
+    np.testing.assert_allclose(other.at(t_s), drift.at(t_s), atol=1e-9)
+    np.testing.assert_allclose(other.at(t_s, 1), drift.at(t_s, 1), atol=1e-9)
+    between = t_s[:-1] + 0.25
+    np.testing.assert_allclose(other.at(between), drift.at(between), atol=1e-4)
+
+
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_a_room_gives_a_drifting_track_back():
     flight = world.rig(loop(), PLAN, seed=1)
     true = flight["front"].believed.position[:, :2]
@@ -54,12 +69,15 @@ def test_one_wall_leaves_the_offset_along_it_open():
     assert (got.sigma_m == 0.2).all()
 
 
-def test_frames_without_phase_are_kept_and_bad_input_is_refused():
+def test_good_poses_are_kept_with_and_without_phase_and_bad_input_is_refused():
     path = ul.Trajectory.line((-0.2, 0, 0), (0.2, 0, 0), rate_hz=25)
     frames = world.listen(path, PLAN)
-    with pytest.warns(ul.UllageWarning, match="no phase"):
-        assert not correct_drift_by_surfaces(replace(frames, samples=frames.amplitude)).corrected
-    with pytest.raises(ul.InputError, match="drift_m -1"):
-        correct_drift_by_surfaces(frames, drift_m=-1.0)
+    for samples in (frames.samples, frames.amplitude):
+        got = correct_drift_by_surfaces(replace(frames, samples=samples))
+        assert not got.corrected
+        np.testing.assert_array_equal(got.frames[frames.sensor].believed.position, frames.believed.position)
+    for wrong in ({"drift_m": -1.0}, {"time_s": 0.0}, {"time_s": float("nan")}):
+        with pytest.raises(ul.InputError, match=next(iter(wrong))):
+            correct_drift_by_surfaces(frames, **wrong)
     with pytest.raises(ul.InputError, match="no poses"):
         correct_drift_by_surfaces(replace(frames, poses=None, truth=None))

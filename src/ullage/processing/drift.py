@@ -70,14 +70,18 @@ def correct_drift(frames: Recording, *, drift_m: float = 0.2, time_s: float = 5.
         raise InputError(f"drift_m {drift_m}, time_s {time_s}", where="correct_drift", allowed="> 0")
     parts = sensors_of(frames)
     by_name = {part.sensor: part for part in parts}
+    offset = wall_offset(parts, drift_m, time_s)
+    return kept(by_name, offset, drift_m) if isinstance(offset, str) else _decided(by_name, offset, drift_m)
+
+
+def wall_offset(parts: list[Frames], drift_m: float, time_s: float) -> Offset | str:
+    """Fit an offset to the echoes of flat walls, however sure it is; or say why there is none."""
     keyframes = {part.sensor: _keyframes(part) for part in parts}
     echoes = _flat_echoes(parts, keyframes)
     if len(echoes.t_s) < LEAST_ECHOES:
-        return kept(by_name, f"{len(echoes.t_s)} echoes of flat walls, {LEAST_ECHOES} wanted", drift_m)
+        return f"{len(echoes.t_s)} echoes of flat walls, {LEAST_ECHOES} wanted"
     offset = WallFit(echoes, drift_m, time_s).solve(_peaks(list(chain.from_iterable(keyframes.values()))))
-    if offset is None:
-        return kept(by_name, "walls echo from fewer than two directions", drift_m)
-    return _decided(by_name, offset, drift_m)
+    return "walls echo from fewer than two directions" if offset is None else offset
 
 
 def _decided(by_name: dict[str, Frames], offset: Offset, drift_m: float) -> DriftCorrection:

@@ -93,8 +93,8 @@ def map_occupancy(
         method: "ullage", the best one, which is "likelihood"; "likelihood", surfaces by one likelihood ratio; "rules",
             all that each profile says; "elfes", the thesis' baseline; or the name of one that another package adds. The
             map's `method` says which one made it.
-        drift_m: sigma of a slow error of the poses [m]; above zero, it is taken out first as far as flat walls show it,
-            and a warning says where they do not (`processing.drift.correct_drift`).
+        drift_m: sigma of a slow error of the poses [m]; above zero, it is taken out first as far as surfaces show it,
+            and a warning says where they do not (`processing.drift_surfaces.correct_drift_by_surfaces`).
         remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).
         target_z_m: height of coherent scatterers on a straight track; None: that of the track. Frames that
             `ul.calibrate` put on a track have such scatterers found and added (`processing.scatterers`).
@@ -110,9 +110,9 @@ def map_occupancy(
         frames = without_own_echo(frames)
     calibrated = [part for part in sensors_of(frames) if part.calibration is not None and method in COHERENT]
     if drift_m:
-        from ullage.processing.drift import correct_drift
+        from ullage.processing.drift_surfaces import correct_drift_by_surfaces
 
-        frames = correct_drift(frames, drift_m=drift_m).frames
+        frames = correct_drift_by_surfaces(frames, drift_m=drift_m).frames
     mapper = Mapper(grid, method=method, **options)
     mapper.update(frames)
     mapper.finish()

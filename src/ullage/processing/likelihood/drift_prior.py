@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 from scipy.linalg import solve_continuous_lyapunov
+from scipy.sparse.linalg import spsolve
 
 from ullage.arrays import Floats
 
@@ -40,9 +42,19 @@ class DriftPrior:
         self._stationary = stationary * sigma_m**2 / stationary[0, 0]
 
     @property
+    def time_s(self) -> float:
+        """Correlation time [s]."""
+        return self._time_s
+
+    @property
     def size(self) -> int:
         """Numbers in the states of all knots."""
         return ORDER * self._count
+
+    @property
+    def knots_s(self) -> Floats:
+        """Times of the knots [s]."""
+        return np.asarray(self._start_s + np.arange(self._count) * (self._time_s / KNOTS), np.float64)
 
     def _steps(self, time: Floats) -> tuple[Floats, Floats]:
         """Transitions (t, ORDER, ORDER) over times in units of `time_s`, and the covariances of their noise."""
@@ -72,3 +84,29 @@ class DriftPrior:
         column = ORDER * knot[:, None] + np.arange(2 * ORDER)
         row = np.repeat(np.arange(len(t_s)), 2 * ORDER)
         return sparse.csr_matrix((rows.ravel(), (row, column.ravel())), (len(t_s), self.size))
+
+    def fitted(self, t_s: Floats, offset: Floats, sigma_m: float) -> Drift:
+        """The most likely drift that shows offsets (t, 2) [m] at some times, with errors of a standard deviation."""
+        basis = self.basis(t_s)
+        matrix = sparse.csc_matrix(basis.T @ basis / sigma_m**2 + self.precision())
+        return Drift(self, np.asarray(spsolve(matrix, basis.T @ offset / sigma_m**2)).T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drift:
+    """A drift of both horizontal axes, counted from its first moment."""
+
+    prior: DriftPrior
+    state: Floats  # (2, size) at the knots, of each axis
+
+    def at(self, t_s: Floats, derivative: int = 0) -> Floats:
+        """Drift (t, 2) [m] at some times, or its derivative."""
+        return np.asarray(self.prior.basis(t_s, derivative) @ self.state.T)
+
+    def under(self, prior: DriftPrior) -> Drift:
+        """The same drift as states of another prior."""
+        if prior is self.prior:
+            return self
+        knots, scale = prior.knots_s, prior.time_s ** np.arange(ORDER)
+        states = np.stack([self.at(knots, k) * scale[k] for k in range(ORDER)], axis=1)
+        return Drift(prior, np.asarray(states.transpose(2, 0, 1).reshape(2, -1)))

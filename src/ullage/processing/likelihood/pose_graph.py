@@ -16,7 +16,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from ullage.arrays import Bools, Floats, Longs
 from ullage.data import Frames
-from ullage.processing.likelihood.drift_prior import DriftPrior
+from ullage.processing.likelihood.drift_prior import Drift, DriftPrior
 from ullage.processing.likelihood.echoes import Echoes, EchoFinder
 from ullage.processing.likelihood.keyframes import KeyframeSelector
 from ullage.processing.likelihood.spec import LikelihoodSpec
@@ -47,6 +47,7 @@ class Track:
     t_s: Floats  # (k)
     echoes: list[Echoes]  # of each keyframe
     runs: list[Run]  # echoes that a tracker gave to one surface
+    nats: float  # log-likelihood ratio that all sure surfaces explain
 
     @property
     def position(self) -> Floats:
@@ -95,7 +96,7 @@ def find_track(parts: list[Frames], spec: LikelihoodSpec) -> Track:
             run = pairs[rows[sure[rows]]]
             if len(run) >= LEAST_ECHOES:
                 runs.append(Run(run, surface.sloped))
-    return Track(np.array(t_s), found, runs)
+    return Track(np.array(t_s), found, runs, sum(one.log_odds for one in tracker.confirmed()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,11 +116,12 @@ class _Factors:
 class Estimate:
     """Drift and surfaces, with the factorised information matrix about them."""
 
-    drift: Floats  # (2, size) states of the drift at the knots, of each axis
+    drift: Drift
     state: Floats  # (s, 4) of the surfaces
     distance: Floats  # (n) squared distance of each echo
     cost: float  # negative log-likelihood with the prior [nats]
     factor: SuperLU
+    factors: _Factors
 
 
 class PoseGraph:
@@ -129,15 +131,16 @@ class PoseGraph:
         track: keyframes and echoes, found at poses that `start` corrected.
         prior: of the offset, on each axis.
         spec: parameters of the mapper.
-        start: (2, size) states of the drift by which the track is corrected; None: none.
+        start: drift by which the track is corrected since its first moment.
     """
 
-    def __init__(self, track: Track, prior: DriftPrior, spec: LikelihoodSpec, start: Floats | None = None) -> None:
+    def __init__(self, track: Track, prior: DriftPrior, spec: LikelihoodSpec, start: Drift) -> None:
         self._track, self._spec, self._prior = track, spec, prior
         self._basis, self._rates = prior.basis(track.t_s), prior.basis(track.t_s, 1)
         self._precision = prior.precision()
-        self._start = np.zeros((2, prior.size)) if start is None else start
-        self._position = track.position - self._basis @ self._start.T
+        self._start = start.under(prior).state
+        self._started, self._start_rates = track.position, start.at(track.t_s, 1)
+        self._position = track.position - start.at(track.t_s)
         velocity = np.stack([np.gradient(track.position[:, axis], track.t_s) for axis in (0, 1)], axis=1)
         self._speed = np.maximum(np.linalg.norm(velocity, axis=1), LEAST_SPEED_M_S)
         self._ahead = velocity / self._speed[:, None]
@@ -163,6 +166,20 @@ class PoseGraph:
         factors, state = self._factors(kept, kinds)
         estimate = self._improved(factors, self._start, state)
         return self._merged(factors, estimate)
+
+    def occam(self, estimate: Estimate) -> float:
+        """Log of the prior of a drift, times the volume that the echoes leave it [nat] [MacKay2003]."""
+        drift = estimate.drift.state
+        whole = self._normal(estimate.factors, drift, estimate.state)[0]
+        surfaces = splu(sparse.csc_matrix(whole[drift.size :, drift.size :]))
+        volume = _log_det(splu(self._precision)) - 0.5 * (_log_det(splu(whole)) - _log_det(surfaces))
+        return volume - 0.5 * float(np.sum((self._precision @ drift.T) * drift.T))
+
+    @staticmethod
+    def _misfit(factors: _Factors, predicted: Floats) -> Floats:
+        left = factors.seen - predicted
+        left[:, 1] = (left[:, 1] + np.pi) % (2 * np.pi) - np.pi
+        return left
 
     def variance(self, estimate: Estimate) -> Floats:
         """Variance (k, 2) of the offset at the keyframes against that at the first one [m^2]."""
@@ -194,7 +211,7 @@ class PoseGraph:
         seen = np.column_stack([state, state[:, 3] * along])
         weight = 1 / (np.column_stack([variance, turned]) + MODEL**2)
         flattest = [rows[np.argmin(np.abs(state[rows, 2]))] for rows in _rows_of(owner, len(runs))]
-        place = (self._position + self._basis @ self._start.T)[key[flattest]]
+        place = self._started[key[flattest]]
         return _Factors(key, owner, seen, weight, place, tuple(kinds), tuple(range(len(runs)))), state[flattest]
 
     def _predicted(self, factors: _Factors, drift: Floats, state: Floats) -> tuple[Floats, list[Floats]]:
@@ -206,7 +223,7 @@ class PoseGraph:
         key, owner = factors.key, factors.owner
         step = self._position[key] + (self._basis @ drift.T)[key] - factors.place[owner]
         own, speed = state[owner], self._speed[key, None]
-        motion = self._ahead[key] + (self._rates @ (drift - self._start).T)[key] / speed
+        motion = self._ahead[key] + (self._rates @ drift.T - self._start_rates)[key] / speed
         here = transported(own, step)
         by_state = [transported(own + STEP * e, step) - transported(own - STEP * e, step) for e in np.eye(4)]
         by_step = [transported(own, step + STEP * e) - transported(own, step - STEP * e) for e in np.eye(2)]
@@ -225,8 +242,7 @@ class PoseGraph:
     ) -> tuple[sparse.csc_matrix, Floats, Floats, float]:
         """Information, gradient, squared distances of the echoes, and cost; outliers hardly count [Triggs2000]."""
         predicted, (by_state, by_step, by_rate) = self._predicted(factors, drift, state)
-        left = factors.seen - predicted
-        left[:, 1] = (left[:, 1] + np.pi) % (2 * np.pi) - np.pi
+        left = self._misfit(factors, predicted)
         distance = np.sum(factors.weight * left**2, axis=1)
         robust = self._independent / (1 + distance / self._spec.gate) ** 2
         weight = (factors.weight * robust[:, None]).ravel()
@@ -275,11 +291,11 @@ class PoseGraph:
             factor = splu(matrix)
             if gain < ENOUGH_NATS:
                 break
-        return Estimate(drift, state, distance, cost, factor)
+        return Estimate(Drift(self._prior, drift), state, distance, cost, factor, factors)
 
     def _covariance(self, estimate: Estimate) -> Floats:
         """Covariance (4 s, 4 s) of the states of all surfaces."""
-        size, count = estimate.drift.size, estimate.state.size
+        size, count = 2 * self._prior.size, estimate.state.size
         columns = np.zeros((size + count, count))
         columns[size:] = np.eye(count)
         return np.asarray(estimate.factor.solve(columns)[size:])
@@ -300,42 +316,65 @@ class PoseGraph:
     def _merged(self, factors: _Factors, estimate: Estimate) -> Estimate:
         """Merge surfaces, those that agree best first, as long as one surface explains the echoes of both."""
         apart: set[tuple[int, int]] = set()
-        while True:
-            for _, a, b, prior in self._candidates(factors, estimate, apart):
+        merged = True
+        while merged:
+            touched: set[int] = set()
+            for first, second, prior in self._candidates(factors, estimate, apart):
+                if first in touched or second in touched:
+                    continue
+                a, b = factors.label.index(first), factors.label.index(second)
                 less, more = sorted((a, b), key=lambda s: int(np.sum(factors.owner == s)))
                 keep = np.arange(len(estimate.state)) != less
                 owner = np.where(factors.owner == less, more, factors.owner)
                 joint = _only(replace(factors, owner=owner), keep)
-                tried = self._improved(joint, estimate.drift, estimate.state[keep])
+                tried = self._improved(joint, estimate.drift.state, estimate.state[keep])
                 if tried.cost - estimate.cost < prior - LEAST_NATS:
                     factors, estimate = joint, tried
-                    break
-                apart.add((factors.label[a], factors.label[b]))
-            else:
-                return estimate
+                    touched |= {first, second}
+                else:
+                    apart.add((first, second))
+            merged = bool(touched)
+        return estimate
 
     def _candidates(
         self, factors: _Factors, estimate: Estimate, apart: set[tuple[int, int]]
-    ) -> list[tuple[float, int, int, float]]:
-        """Pairs of surfaces that may be one: evidence, both, and what the evidence was before their distance."""
-        covariance, offset = self._covariance(estimate), self._basis @ estimate.drift.T
-        keys = [factors.key[rows] for rows in _rows_of(factors.owner, len(estimate.state))]
-        out = []
-        for a in range(len(keys)):
-            for b in range(a + 1, len(keys)):
-                both = len(np.intersect1d(keys[a], keys[b]))
-                if (factors.label[a], factors.label[b]) in apart or both > SHARED * min(len(keys[a]), len(keys[b])):
-                    continue
-                at = [(self._position + offset)[keys[s]] for s in (a, b)]
-                gap = np.linalg.norm(at[0][:, None] - at[1], axis=2)
-                i, j = np.unravel_index(np.argmin(gap), gap.shape)
-                steps = 0.5 * (at[0][i] + at[1][j]) - factors.place[[a, b]]
-                index = (4 * np.array([[a], [b]]) + np.arange(4)).ravel()
-                distance, spread = _apart(estimate.state[[a, b]], steps, covariance[np.ix_(index, index)])
-                prior = math.log(SPREAD / len(keys)) - 0.5 * math.log(np.linalg.det(2 * np.pi * spread[:2, :2]))
-                if distance < MOST_APART and prior - 0.5 * distance > LEAST_NATS:
-                    out.append((prior - 0.5 * distance, a, b, prior))
-        return sorted(out, reverse=True)
+    ) -> list[tuple[int, int, float]]:
+        """Pairs of surfaces that may be one, best first: labels, and what the evidence was before their distance."""
+        count, keyframes = len(estimate.state), len(self._speed)
+        seen = np.zeros((count, keyframes))
+        seen[factors.owner, factors.key] = 1.0
+        a, b = np.triu_indices(count, 1)
+        both, views = (seen @ seen.T)[a, b], seen.sum(1)
+        known = np.array([(factors.label[i], factors.label[j]) in apart for i, j in zip(a, b, strict=True)], bool)
+        pairs = np.stack([a, b], axis=1)[~known & (both <= SHARED * np.minimum(views[a], views[b]))]
+        if not len(pairs):
+            return []
+        place = self._middles(seen > 0, pairs, estimate) - factors.place[pairs]
+        index = (4 * pairs[:, :, None] + np.arange(4)).reshape(-1, 8)
+        covariance = self._covariance(estimate)[index[:, :, None], index[:, None, :]]
+        distance, spread = _apart(estimate.state[pairs], place, covariance)
+        area = np.linalg.det(2 * np.pi * spread[:, :2, :2])
+        prior = math.log(SPREAD / count) - 0.5 * np.log(area)
+        good = (distance < MOST_APART) & (prior - 0.5 * distance > LEAST_NATS)
+        order = np.argsort(0.5 * distance - prior, kind="stable")
+        labels = np.array(factors.label)[pairs]
+        return [(int(labels[k, 0]), int(labels[k, 1]), float(prior[k])) for k in order if good[k]]
+
+    def _middles(self, seen: Bools, pairs: Longs, estimate: Estimate) -> Floats:
+        """Place (p, 1, 2) between the nearest keyframes that saw either surface of each pair."""
+        at = self._position + self._basis @ estimate.drift.state.T
+        gap = np.linalg.norm(at[:, None] - at, axis=2)
+        keys = [np.flatnonzero(row) for row in seen]
+        out = np.zeros((len(pairs), 1, 2))
+        for row, (a, b) in enumerate(pairs):
+            near = gap[np.ix_(keys[a], keys[b])]
+            i, j = divmod(int(np.argmin(near)), near.shape[1])
+            out[row, 0] = 0.5 * (at[keys[a][i]] + at[keys[b][j]])
+        return out
+
+
+def _log_det(factor: SuperLU) -> float:
+    return float(np.sum(np.log(np.abs(factor.U.diagonal()))))
 
 
 def _along(bearing: Floats, motion: Floats) -> tuple[Floats, Floats]:
@@ -368,15 +407,20 @@ def _kind_factors(kinds: tuple[str, ...], state: Floats) -> tuple[Floats, Floats
     return rows, left, np.array([SIGMAS[kind] for kind in kinds]) ** -2
 
 
-def _apart(states: Floats, steps: Floats, covariance: Floats) -> tuple[float, Floats]:
-    """Squared distance of two surfaces (2, 4) as seen from one place, and the covariance (4, 4) of their difference."""
-    here, slopes = [], []
-    for state, step in zip(states, steps, strict=True):
-        moved = transported(state + STEP * np.concatenate([np.eye(4), -np.eye(4), np.zeros((1, 4))]), step[None])
-        slopes.append((moved[:4] - moved[4:8]).T / (2 * STEP))
-        here.append(moved[8])
-    apart = here[0] - here[1]
-    apart[1] = math.remainder(apart[1], 2 * math.pi)
-    slope = np.hstack([slopes[0], -slopes[1]])
-    spread = slope @ covariance @ slope.T + np.diag(SAME**2)
-    return float(apart @ np.linalg.solve(spread, apart)), spread
+def _apart(states: Floats, steps: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+    """Squared distances (p) of pairs of surfaces as seen from one place, and covariances (p, 4, 4) of the difference.
+
+    Args:
+        states: (p, 2, 4) of both surfaces.
+        steps: (p, 2, 2) from where the states refer to, to that place [m].
+        covariance: (p, 8, 8) of both.
+    """
+    count = len(states)
+    tries = states[:, :, None] + STEP * np.concatenate([np.eye(4), -np.eye(4), np.zeros((1, 4))])
+    moved = transported(tries.reshape(-1, 4), np.repeat(steps.reshape(-1, 2), 9, axis=0)).reshape(count, 2, 9, 4)
+    slopes = ((moved[:, :, :4] - moved[:, :, 4:8]) / (2 * STEP)).transpose(0, 1, 3, 2)
+    apart = moved[:, 0, 8] - moved[:, 1, 8]
+    apart[:, 1] = (apart[:, 1] + np.pi) % (2 * np.pi) - np.pi
+    slope = np.concatenate([slopes[:, 0], -slopes[:, 1]], axis=2)
+    spread = slope @ covariance @ slope.transpose(0, 2, 1) + np.diag(SAME**2)
+    return np.einsum("pi,pij,pj->p", apart, np.linalg.inv(spread), apart), spread
