@@ -13,6 +13,7 @@ from ullage.kernels.loops import inner, loop
 BEFORE_M = 0.1  # an echo is not hidden by what lies this near before it
 BODY_M = 0.25  # radius about the sensor that is free
 STRANDS = 5  # rays across an echo's path
+STRAIGHT = 1e-6  # turn of a surface below which it is a line [rad]
 PARTS = 3  # of the edge of a cell: a cell is free where all its parts are
 
 
@@ -48,10 +49,13 @@ def _cell(plane, x, y):  # type: ignore[no-untyped-def]
 
 @inner()
 def _point(views, k, y):  # type: ignore[no-untyped-def]
-    """Point of a surface at a distance `y` along it from the specular point."""
+    """Point of a surface at a distance `y` along it from the specular point, on a circle."""
     c, s = math.cos(views.state[k, 1]), math.sin(views.state[k, 1])
-    deep = views.state[k, 0] + 0.5 * y * y * views.bend[k]
-    return views.position[k, 0] + deep * c - y * s, views.position[k, 1] + deep * s + y * c
+    turn, aside, deep = y * views.bend[k], y, 0.0
+    if abs(turn) > STRAIGHT:
+        aside, deep = math.sin(turn) / views.bend[k], (1 - math.cos(turn)) / views.bend[k]
+    deep += views.state[k, 0]
+    return views.position[k, 0] + deep * c - aside * s, views.position[k, 1] + deep * s + aside * c
 
 
 @loop()
@@ -221,14 +225,12 @@ def draw_extensions(plane, views, alive, extension_m, out):  # type: ignore[no-u
     for k in range(len(alive)):
         if not alive[k] or views.half_m[k] < 0.5 * plane.step:
             continue
-        c, s = math.cos(views.state[k, 1]), math.sin(views.state[k, 1])
         steps = math.ceil(2 * extension_m / (0.5 * plane.step))
         for i in range(steps + 1):
             y = extension_m * (2 * i / steps - 1)
             px, py = _point(views, k, y)
             cell = _cell(plane, px, py)
             if cell >= 0:
-                slope = y * views.bend[k]
-                size = math.hypot(1.0, slope)
-                out[cell, 0], out[cell, 1] = (c + slope * s) / size, (s - slope * c) / size
+                turn = views.state[k, 1] - y * views.bend[k]
+                out[cell, 0], out[cell, 1] = math.cos(turn), math.sin(turn)
                 out[cell, 2] = out[cell, 0] * px + out[cell, 1] * py

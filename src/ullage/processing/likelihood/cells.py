@@ -28,7 +28,8 @@ from ullage.processing.likelihood.surfaces import Surface, smoothed
 
 FREE, OCCUPIED = 5, 95  # percent
 FULL_NATS = 30.0  # an echo with as many counts in full
-MOST_HALF_M, MOST_BEND = 0.5, 2.0  # of the piece of a surface that one echo shows
+MOST_HALF_M, MOST_BEND = 0.5, 2.0  # of the piece of a surface that one echo shows; the bend is that of volumes
+LEAST_RADIUS_M = 0.25  # of a round surface
 DOUBT = 0.3  # standard deviations of the curvature by which that piece is narrowed
 FLOWN_M, FLOWN_SHARE = 0.1, 0.3  # a surface whose specular points lie so near to the track, so many of them, is false
 FOLD_M, FOLD_RAD, FOLD_SHARE = 0.06, np.radians(4.0), 0.5  # how well a folded echo fits, and for how many
@@ -37,7 +38,7 @@ LEAST_FLATNESS = 0.1  # of edges and poles, whose own law differs
 FULL_PERCENT, FULL_REACH_M = 90.0, 0.7  # level of a surface without obstacles, near one place of the track
 LEAST_FULL = 0.5  # share of that over the whole track which it has at least
 BLOCKED = 0.3  # half width of a path that a wall must fill, in radii of the first Fresnel zone
-CLEAR = 0.7  # share of the full level that a clear path leaves
+CLEAR = 0.8  # share of the full level that a clear path leaves; the level of an edge in its zone ripples by less
 FAINT, FAINT_PERCENT = 0.05, 95.0  # an echo so far below the strongest ones may come by way of other things
 SHOWN = 0.1  # evidence of a cell that ends a tube: what is hardly seen may be solid all the same
 SEEN_SHARE = 0.34  # of a surface's echoes that must not be hidden
@@ -154,7 +155,8 @@ def _views(surfaces: list[Surface], wavelength_m: float, fold_m: float, spec: Li
     steep = np.abs(flatness) > 0.2
     bend = np.where(steep, curvature / np.where(steep, flatness, 1.0), 0.0)
     weight = np.minimum(np.array([one.nats for one in seen]) / FULL_NATS, 1.0)
-    return Views(place, np.ascontiguousarray(state), half, np.clip(bend, -MOST_BEND, MOST_BEND), level, weight), owner
+    bend = np.clip(bend, -1 / LEAST_RADIUS_M, 1 / LEAST_RADIUS_M)
+    return Views(place, np.ascontiguousarray(state), half, bend, level, weight), owner
 
 
 def _visible(
