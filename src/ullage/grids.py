@@ -306,7 +306,7 @@ def _cut(values: NDArray[np.int8], edge: int) -> NDArray[np.int8]:
 class MappedSurface:
     """A surface as a mapper estimates it."""
 
-    kind: str  # "plane", "cylinder", "edge", or in a plane map "slope" where its normal leaves the plane
+    kind: str  # "plane", "cylinder", "edge"; in a plane map "lying" (its axis is level) or "slope" (its normal rises)
     position: Floats  # (d) that the state refers to [m]; d is 2 in a plane map and 3 in a volume
     state: Floats  # from there; plane: range [m], bearing [rad], curvature of the range [1/m] and cosine of the
     # elevation (4); volume: range [m], unit vector (3) and curvature (5)
@@ -314,7 +314,7 @@ class MappedSurface:
     log_odds: float  # of its existence
     seen: int  # keyframes that saw it
     on_map: bool  # False: a slope, of open direction, hidden behind other surfaces, or flown through
-    points: Floats  # (seen, d) specular points, which show its extent [m]
+    points: Floats  # (seen, d) specular points, which show its extent; of "lying" where the plane cuts it [m]
     normals: Floats  # (seen, d) unit vectors from there towards the sensor
 
     def lines(self, length_m: float, height_m: float) -> Floats:

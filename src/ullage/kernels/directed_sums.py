@@ -77,7 +77,7 @@ def turn_rows_by(patterns, aperture, curvature, start, stop, turns):  # type: ig
 def _fitted(aperture, patterns, unit, curvature, place, gain, sums, parts):  # type: ignore[no-untyped-def]
     """Energy that a reflector explains, and all energy along its range, by the patterns of the sensors."""
     _toward(patterns, unit, gain)
-    return _fit_at(aperture, unit, curvature, place, gain, sums, parts)
+    return _fit_at(aperture, unit, (0.0, curvature, place, 1.0, 0.0), gain, sums, parts)
 
 
 @inner()

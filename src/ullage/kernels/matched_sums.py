@@ -15,6 +15,7 @@ ROUNDS, STEPS = 5, 6  # of the search: each round has smaller steps
 SHRINK = 0.45
 COHERENT = 0.95  # expected coherence from which the sizes of the moments' sums are left out
 LEAST_COSINE = 0.2  # of the elevation that the search tries
+LEAST_LYING = 0.01  # the same of lying cylinders, whose bearing stays known straight above and below
 GAIN_CELLS = 2000  # cells of the table of gains, even in 1 - cosine
 
 
@@ -37,6 +38,22 @@ def _delay(offset, unit, curvature):  # type: ignore[no-untyped-def]
     along = offset[0] * unit[0] + offset[1] * unit[1] + offset[2] * unit[2]
     square = offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2
     return 0.5 * curvature * (square - along * along) - along
+
+
+@inner(fastmath=True)
+def _delay_level(offset, unit, cosine, curvature):  # type: ignore[no-untyped-def]
+    """The same of a reflector that bends in the vertical plane through its direction only, by its exact law [bin]."""
+    along = (offset[0] * unit[0] + offset[1] * unit[1]) / cosine
+    ahead = cosine - curvature * along
+    return (curvature * along - 2 * cosine) * along / (math.sqrt(ahead * ahead + 1 - cosine * cosine) + 1)
+
+
+@inner(fastmath=True)
+def _range(offset, unit, cosine, curvature, lying):  # type: ignore[no-untyped-def]
+    """Range of a reflector of either kind less its range from the place [bin]."""
+    if lying > 0 and cosine > 0:
+        return _delay_level(offset, unit, cosine, curvature)
+    return _delay(offset, unit, curvature)
 
 
 @inner(fastmath=True)
@@ -218,14 +235,14 @@ def find_peaks(energy, low, high, peak, where):  # type: ignore[no-untyped-def]
 
 
 @inner(fastmath=True)
-def _fit(aperture, unit, curvature, place, gain, sums, parts):  # type: ignore[no-untyped-def]
+def _fit(aperture, unit, reflector, gain, sums, parts):  # type: ignore[no-untyped-def]
     """Energy that a reflector explains, and all energy along its range; `sums` takes the sum of each sensor."""
     _gains(aperture, unit, gain)
-    return _fit_at(aperture, unit, curvature, place, gain, sums, parts)
+    return _fit_at(aperture, unit, reflector, gain, sums, parts)
 
 
 @inner(fastmath=True)
-def _fit_at(aperture, unit, curvature, place, gain, sums, parts):  # type: ignore[no-untyped-def]
+def _fit_at(aperture, unit, reflector, gain, sums, parts):  # type: ignore[no-untyped-def]
     """The same at a gain of each sensor."""
     samples = aperture.samples
     for s in range(len(gain)):
@@ -234,8 +251,9 @@ def _fit_at(aperture, unit, curvature, place, gain, sums, parts):  # type: ignor
         sums[s, 2] = 0.0
     energy = total = 0.0
     parts[:] = 0.0
+    curvature, place, cosine, lying = reflector[1], reflector[2], reflector[3], reflector[4]
     for i in range(samples.shape[0]):
-        delay = _delay(aperture.offset[i], unit, curvature)
+        delay = _range(aperture.offset[i], unit, cosine, curvature, lying)
         at = delay + place
         k = math.floor(at)
         if k < 0 or k >= samples.shape[1] - 1:
@@ -281,22 +299,24 @@ def refine(aperture, start, steps, most_curvature, sums, found):  # type: ignore
 
     Args:
         aperture: the rows.
-        start: (4) cosine of the elevation (0: straight up or down), bearing [rad], curvature [1/bin] and range [bin].
+        start: (5) cosine of the elevation (0: straight up or down), bearing [rad], curvature [1/bin], range [bin], and
+            1 where it bends in the vertical plane through its direction only, 0 where it bends on all sides.
         steps: (4) of bearing, curvature, range and cosine in the first round; 0 keeps a parameter.
         most_curvature: bound on its size [1/bin].
         sums: (s, 3) set to real and imaginary part of each sensor's sum, and its rows.
-        found: (6) set to energy explained, all energy, bearing, curvature, range and cosine.
+        found: (7) set to energy explained, all energy, bearing, curvature, range, cosine, and how it bends.
     """
     unit, gain = np.empty(3), np.empty(len(aperture.axes))
     parts = np.empty((aperture.moment.max() + 1, 2))
-    now, trial, size = np.empty(4), np.empty(4), np.empty(4)
+    now, trial, size = np.empty(5), np.empty(5), np.empty(4)
+    now[4] = trial[4] = found[6] = start[4]
     for p in range(4):
         now[p] = start[(p + 1) % 4]
         size[p] = steps[p]
     if start[0] <= 0:
         size[0] = size[3] = 0.0
     _turn(now[3], now[0], unit)
-    best, energy = _fit(aperture, unit, now[1], now[2], gain, sums, parts)
+    best, energy = _fit(aperture, unit, now, gain, sums, parts)
     for _ in range(ROUNDS):
         for _ in range(STEPS):
             better = False
@@ -309,9 +329,9 @@ def refine(aperture, start, steps, most_curvature, sums, found):  # type: ignore
                 trial[p] += size[p] if move % 2 == 0 else -size[p]
                 trial[1] = min(max(trial[1], -most_curvature), most_curvature)
                 if size[3] > 0:
-                    trial[3] = min(max(trial[3], LEAST_COSINE), 1.0)
+                    trial[3] = min(max(trial[3], LEAST_COSINE if start[4] == 0 else LEAST_LYING), 1.0)
                 _turn(trial[3], trial[0], unit)
-                value, all_energy = _fit(aperture, unit, trial[1], trial[2], gain, sums, parts)
+                value, all_energy = _fit(aperture, unit, trial, gain, sums, parts)
                 if value > best * 1.0005:
                     best, energy, better = value, all_energy, True
                     for other in range(4):
@@ -321,7 +341,7 @@ def refine(aperture, start, steps, most_curvature, sums, found):  # type: ignore
         for p in range(4):
             size[p] *= SHRINK
     _turn(now[3], now[0], unit)
-    best, energy = _fit(aperture, unit, now[1], now[2], gain, sums, parts)
+    best, energy = _fit(aperture, unit, now, gain, sums, parts)
     found[0], found[1] = best, energy
     for p in range(4):
         found[2 + p] = now[p]
@@ -333,7 +353,7 @@ def subtract(aperture, found, sums, pulse):  # type: ignore[no-untyped-def]
 
     Args:
         aperture: the rows; their samples change.
-        found: (6) as `refine` gave it.
+        found: (7) as `refine` gave it.
         sums: (s, 3) as `refine` gave it.
         pulse: standard deviation of the pulse's envelope [bin].
     """
@@ -344,7 +364,7 @@ def subtract(aperture, found, sums, pulse):  # type: ignore[no-untyped-def]
         mine = aperture.sensor[i]
         rows = max(sums[mine, 2], 1.0)
         x, y = sums[mine, 0] / rows, sums[mine, 1] / rows
-        delay = _delay(aperture.offset[i], unit, found[3])
+        delay = _range(aperture.offset[i], unit, found[5], found[3], found[6])
         at = delay + found[4]
         c, s = math.cos(aperture.phase * delay), math.sin(aperture.phase * delay)
         real, imag = x * c + y * s, y * c - x * s

@@ -36,6 +36,7 @@ SURFACE_COLOURS = {
     "plane": (0.1, 0.45, 0.9, 1.0),
     "cylinder": (0.55, 0.25, 0.85, 1.0),
     "edge": (0.9, 0.2, 0.3, 1.0),
+    "lying": (0.1, 0.65, 0.65, 1.0),
     "slope": (0.45, 0.45, 0.45, 0.6),
 }
 """The same of the surfaces that a mapper estimates, by kind."""

@@ -31,7 +31,7 @@ MAX_BOXES = 50_000  # largest number of boxes for a volume's cells; more cells b
 BLENDED = 0.999  # rerun blends pictures with their background only at an opacity below 1
 FREE_ALPHA = 140  # opacity of free cells: the floor stays visible
 SURFACE_LIFT_M = 0.03  # of the lines of surfaces over the map
-SURFACE_COLORS = {"plane": "#1a73e6", "cylinder": "#8c40d9", "edge": "#e6334d", "slope": "#737373"}
+SURFACE_COLORS = {"plane": "#1a73e6", "cylinder": "#8c40d9", "edge": "#e6334d", "lying": "#1aa6a6", "slope": "#737373"}
 IMAGE_DB = 30.0  # dynamic range of radar images below their peak
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -22,9 +23,10 @@ from ullage.kernels.surface_cells import (
     find_crossed,
     find_hidden,
 )
+from ullage.processing.likelihood.lying import cut_sigma, in_plane
 from ullage.processing.likelihood.silence import without_surfaces
 from ullage.processing.likelihood.spec import LikelihoodSpec
-from ullage.processing.likelihood.surfaces import Surface, smoothed
+from ullage.processing.likelihood.surfaces import UNFIT_SIGMA, Surface, smoothed
 
 FREE, OCCUPIED = 5, 95  # percent
 FULL_NATS = 30.0  # an echo with as many counts in full
@@ -74,10 +76,11 @@ def render(
     kept = np.zeros(len(surfaces), bool)
     percent[_body(grid, flown, spec.vehicle_m)] = FREE
     if surfaces:
-        views, owner = _views(surfaces, wavelength_m, fold_m, spec)
+        views, owner, cut = _views(grid, surfaces, wavelength_m, fold_m, spec)
         sloped = np.array([one.sloped for one in surfaces])
         false = _flown_through(views, owner, flown)
-        possible = ~(sloped | false)
+        possible = (cut[0] | ~sloped[owner]) & ~false[owner]
+        doubtful = cut[1] & ~cut[0] & ~false[owner]
         alive, evidence, level = _visible(plane, views, owner, possible, spec)
         kept = np.bincount(owner, alive, len(surfaces)) > 0
         shown = evidence >= spec.evidence
@@ -88,12 +91,15 @@ def render(
         slopes = (sloped & ~false)[owner]
         clearance = _clearance(views, owner)
         doubt = np.sqrt([one.covariance[1, 1] for one in surfaces])[owner]
-        views.state[slopes, 0] *= views.state[slopes, 3]  # up to the foot of the perpendicular
+        paths = views._replace(state=views.state.copy())
+        paths.state[slopes, 0] *= paths.state[slopes, 3]  # up to the foot of the perpendicular
         near = _extensions(plane, views, alive, spec.extension_m)
+        ends = evidence.copy()
+        draw_surfaces(plane, views, doubtful, ends, level)
         width = np.where(alive | slopes, spec.tube * clearance, 0.0)
         tubes = Tubes(width, doubt, wavelength_m, spec.margin_m, SURE_M)
-        free = _passed(plane, views, tubes, evidence, near) & (quiet[0] >= 0)
-        free |= _silent(plane, flown, quiet, evidence, free | (percent == FREE), spec)
+        free = _passed(plane, paths, tubes, ends, near) & (quiet[0] >= 0)
+        free |= _silent(plane, flown, quiet, ends, free | (percent == FREE), spec)
         percent[free & ~shown] = FREE
         percent[occupied] = OCCUPIED
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
@@ -135,8 +141,12 @@ def _body(grid: Grid, flown: Floats, radius_m: float) -> Longs:
     return np.unique(np.ravel_multi_index(tuple(cell[inside].T), grid.shape))
 
 
-def _views(surfaces: list[Surface], wavelength_m: float, fold_m: float, spec: LikelihoodSpec) -> tuple[Views, Longs]:
-    """All sightings of all surfaces as rows, and the surface of each.
+def _views(
+    grid: Grid, surfaces: list[Surface], wavelength_m: float, fold_m: float, spec: LikelihoodSpec
+) -> tuple[Views, Longs, Bools]:
+    """All sightings of all surfaces as rows, the surface of each, and where the plane cuts lying cylinders.
+
+    The flags (2, k) are: the cut is confirmed, and the surface may go on to there.
 
     A folded echo shows the surface that it comes from, at its true range.
     """
@@ -148,28 +158,60 @@ def _views(surfaces: list[Surface], wavelength_m: float, fold_m: float, spec: Li
     folded = _folded(place, state, owner, fold_m)[owner]
     level[folded] *= 1 + fold_m / state[folded, 0]
     state[folded, 0] += fold_m
+    weight = np.minimum(np.array([one.nats for one in seen]) / FULL_NATS, 1.0)
+    rows, cut = _cut(_Rows(place, state, sigma, owner, level, weight), surfaces, grid, spec)
+    place, state, sigma, owner, level, weight = rows
     range_m, curvature = state[:, 0], state[:, 2]
     flatness = 1 - curvature * range_m  # by which the specular point moves as the sensor moves: 1 for a flat wall
     narrowed = np.maximum(np.abs(flatness) - DOUBT * sigma * range_m, 0)
     half = np.minimum(spec.support * np.sqrt(0.5 * wavelength_m * range_m * narrowed), MOST_HALF_M)
     steep = np.abs(flatness) > 0.2
     bend = np.where(steep, curvature / np.where(steep, flatness, 1.0), 0.0)
-    weight = np.minimum(np.array([one.nats for one in seen]) / FULL_NATS, 1.0)
     bend = np.clip(bend, -1 / LEAST_RADIUS_M, 1 / LEAST_RADIUS_M)
-    return Views(place, np.ascontiguousarray(state), half, bend, level, weight), owner
+    return Views(place, np.ascontiguousarray(state), half, bend, level, weight), owner, cut
+
+
+class _Rows(NamedTuple):
+    """Sightings as rows."""
+
+    place: Floats  # (k, 2) [m]
+    state: Floats  # (k, 4)
+    sigma: Floats  # (k) of the curvature [1/m]
+    owner: Longs  # (k) surface
+    level: Floats  # (k) amplitude times range [m]
+    weight: Floats  # (k)
+
+
+def _cut(rows: _Rows, surfaces: list[Surface], grid: Grid, spec: LikelihoodSpec) -> tuple[_Rows, Bools]:
+    """Rows with those of lying cylinders where the plane cuts these, and the flags of `_views`."""
+    state, level, sigma = rows.state.copy(), rows.level.copy(), rows.sigma.copy()
+    sources, states, flags = [np.arange(len(state))], [state], [np.zeros((2, len(state)), bool)]
+    for index in [k for k, one in enumerate(surfaces) if one.lying]:
+        one, mine = surfaces[index], np.flatnonzero(rows.owner == index)
+        sure = (sigma[mine] < UNFIT_SIGMA) & (cut_sigma(one.state, one.covariance) < grid.step_m)
+        level[mine] /= np.sqrt(np.maximum(np.abs(1 - state[mine, 2] * state[mine, 0]), LEAST_FLATNESS))
+        cut, count = in_plane(state[mine], sure, spec.extension_m, spec.least_keyframes), len(mine)
+        state[mine], sigma[mine] = cut.state[:count], 0.0
+        flags[0][:, mine] = cut.confirmed[:count], cut.possible[:count]
+        sources.append(mine[cut.sighting[count:]])
+        states.append(cut.state[count:])
+        flags.append(np.stack([cut.confirmed[count:], cut.possible[count:]]))
+    row = np.concatenate(sources)
+    rest = sigma[row], rows.owner[row], level[row], rows.weight[row]
+    return _Rows(rows.place[row], np.concatenate(states), *rest), np.concatenate(flags, axis=1)
 
 
 def _visible(
     plane: Plane, views: Views, owner: Longs, possible: Bools, spec: LikelihoodSpec
 ) -> tuple[Bools, Floats, Floats]:
     """Which echoes come straight from a surface, and the evidence of these in each cell (cells)."""
-    count = np.bincount(owner)
-    alive = possible[owner]
+    count = np.maximum(np.bincount(owner, possible), 1)
+    alive = possible.copy()
     evidence, level = np.zeros((2, plane.rows * plane.columns))
     for _ in range(ROUNDS):
         evidence[:], level[:] = 0, 0
         draw_surfaces(plane, views, alive, evidence, level)
-        alive = possible[owner]
+        alive = possible.copy()
         find_hidden(plane, views, evidence, level, spec.evidence, alive)
         alive &= (np.bincount(owner, alive) / count > SEEN_SHARE)[owner]
     evidence[:], level[:] = 0, 0

@@ -20,6 +20,7 @@ from ullage.arrays import Floats
 from ullage.kernels.matched_sums import LEAST_GAIN, Aperture, refine, subtract
 from ullage.processing.likelihood.direction_sums import DirectionSums
 from ullage.processing.likelihood.keyframes import Keyframe
+from ullage.processing.likelihood.lying import lying_share
 from ullage.processing.likelihood.poses import AperturePoses, EchoPhases, PoseErrors, range_sigma
 from ullage.processing.likelihood.rivals import APART, MOST_LEAD, MirrorLevel, ring_of, rivals_of, track_of
 from ullage.processing.likelihood.spec import LikelihoodSpec
@@ -33,6 +34,7 @@ BEARING_PRIOR_RAD, CURVATURE_PRIOR, COSINE_PRIOR = (
 )  # standard deviation of what an aperture may leave open
 MOST_COHERENCE = 0.995
 COARSE, FINE = (1.5, 0.35, 0.5, 0.0), (0.5, 0.05, 0.25, 0.0)  # first steps: deg, 1/m, bins and cosine
+FINE_LYING = (0.5, 0.05, 0.25, 0.02)
 TILTED, SLOPES = (1.5, 0.2, 0.5, 0.04), (0.95, 0.87, 0.77, 0.64, 0.5)  # the same for slopes; their cosines
 AS_IT_IS = (0.0, 0.0, 0.0, 0.0)  # no search
 CLEAR = 0.97  # coherence of a level reflector from which no slope is tried
@@ -53,6 +55,8 @@ class Echoes:
     level: Floats  # (e) amplitude times range, over the antenna's gain [m]
     nats: Floats  # (e) log-likelihood ratio of the echo against independent samples
     lead: Floats  # (e) nats by which its direction explains more than any rival on the ring about the track
+    track: Floats  # (3) unit vector along the aperture
+    height_m: float = 0.0  # of the keyframe
 
     def __len__(self) -> int:
         return len(self.state)
@@ -90,10 +94,11 @@ class EchoFinder:
 
         Args:
             key: the keyframe.
-            known: (s, 4) states that known surfaces have from its place. A known
+            known: (s, 6) states that known surfaces have from its place, 1 for those that bend in the vertical plane
+                through their direction only, and nats by which another state of the same surface is likelier. A known
                 surface explains an echo unless another hypothesis explains clearly more of it.
         """
-        work = self.steps(key, np.zeros((0, 4)) if known is None else known)
+        work = self.steps(key, np.zeros((0, 6)) if known is None else known)
         while True:
             try:
                 next(work)
@@ -118,7 +123,10 @@ class EchoFinder:
         state = np.array([row[0] for row in found]).reshape(-1, 4)
         covariance = np.array([row[1] for row in found]).reshape(-1, 4, 4)
         rest = np.array([row[2:] for row in found]).reshape(-1, 4)
-        return Echoes(key.position[:2], state, covariance, *rest.T)
+        coherence, level, nats, lead = rest.T
+        track = track_of(aperture) if len(found) else np.zeros(3)
+        height_m = float(key.position[2])
+        return Echoes(key.position[:2], state, covariance, coherence, level, nats, lead, track, height_m)
 
     def _clean(
         self, key: Keyframe, low: int, high: int, known: Floats, poses: AperturePoses, *, first: bool = False
@@ -133,7 +141,7 @@ class EchoFinder:
             best, d, k = self._sums.strongest(floor, low, high)
             if best <= spec.least_snr * noise:
                 break
-            start = np.array([self._level[d], self._bearing[d], 0.0, k])
+            start = np.array([self._level[d], self._bearing[d], 0.0, k, 0.0])
             start, fit, sums = self._refined(key, start, known)
             lead = 0.0
             if start[0] > 0:
@@ -156,7 +164,7 @@ class EchoFinder:
         """Direction of an echo, and its phases."""
         unit = _unit(fit[5], fit[2])
         gains = gains_of(key.aperture, unit)
-        return unit, poses.phases(unit, gains / gains.max(), fit[3], fit[4])
+        return unit, poses.phases(unit, gains / gains.max(), fit[3], fit[4], lying=fit[6] > 0)
 
     def _learn(self, key: Keyframe, poses: AperturePoses, start: Floats, fit: Floats) -> None:
         """Learn from the strongest echo how large the errors of the poses are."""
@@ -187,7 +195,7 @@ class EchoFinder:
         unit, phases = self._phases(key, poses, fit)
         turn = poses.expected(unit, phases)
         poses.shift(unit, turn)
-        fit, sums = self._fitted(key, np.array([fit[5], *fit[2:5]]), AS_IT_IS)
+        fit, sums = self._fitted(key, np.array([fit[5], *fit[2:5], fit[6]]), AS_IT_IS)
         echo = self._echo(key, fit, sums, left)
         subtract(key.aperture, fit, sums, key.pulse)
         poses.shift(unit, -turn)
@@ -208,10 +216,10 @@ class EchoFinder:
             slope, sums = self._fitted(key, rival, TILTED)
             if self._gain(key, fit, slope) > self._spec.slope_nats:
                 best, best_nats = (rival, slope, sums), self._nats(key, slope)
-        for range_m, bearing, curvature, cosine in known[np.abs(known[:, 0] - at_m) < SAME_RANGE_M]:
-            rival = np.array([cosine, bearing, curvature * key.bin_m, (range_m - key.start_m) / key.bin_m])
-            fit, sums = self._fitted(key, rival, FINE)
-            nats = self._nats(key, fit) + self._spec.known_nats
+        for range_m, bearing, curvature, cosine, lying, behind in known[np.abs(known[:, 0] - at_m) < SAME_RANGE_M]:
+            rival = np.array([cosine, bearing, curvature * key.bin_m, (range_m - key.start_m) / key.bin_m, lying])
+            fit, sums = self._fitted(key, rival, FINE_LYING if lying else FINE)
+            nats = self._nats(key, fit) + self._spec.known_nats - behind
             if nats > best_nats:
                 best, best_nats = (rival, fit, sums), nats
         return best
@@ -225,20 +233,24 @@ class EchoFinder:
             Fit, sums and lead of the direction [nat].
         """
         aperture = key.aperture
-        ring = ring_of(track_of(aperture), fit[5], fit[2])
+        track, flat = track_of(aperture), fit.copy()
+        if fit[6]:
+            flat[3] *= lying_share(fit[5], float(track @ _unit(1.0, fit[2])))
+        ring = ring_of(track, fit[5], fit[2])
         gains = np.array([gains_of(aperture, unit).max() for unit in ring])
-        rivals = rivals_of(aperture, fit, gains, ring)
+        rivals = rivals_of(aperture, flat, gains, ring)
         loudest = int(np.argmax(gains_of(aperture, ring[0])))
         level = math.hypot(sums[loudest, 0], sums[loudest, 1]) / max(sums[loudest, 2], 1)
         level *= key.start_m + key.bin_m * fit[4]
         if strongest:
             self._mirror.learn(level / gains.max())
+        rivals.left[0] = 1 - min(fit[0] / max(fit[1], 1e-30), 1.0)
         lost = self._lost(key) + 1 - MOST_COHERENCE
         nats = -len(aperture.offset) * np.log(rivals.left + lost) - self._mirror.excess_nats(level / gains)
         across = np.flatnonzero(rivals.cosine >= fit[5] - 1e-6)
         best = int(across[np.argmax(nats[across])])
         if best and nats[best] > nats[0]:
-            start = np.array([min(rivals.cosine[best], 1.0), rivals.bearing[best], fit[3], fit[4]])
+            start = np.array([min(rivals.cosine[best], 1.0), rivals.bearing[best], flat[3], fit[4], 0.0])
             fit, sums = self._fitted(key, start, FINE)
         else:
             best = 0
@@ -251,17 +263,17 @@ class EchoFinder:
         return 1 - math.exp(-((4 * math.pi / key.wavelength_m * self.pose_errors.sigma_m) ** 2))
 
     def _slope_near(self, key: Keyframe, fit: Floats) -> Floats:
-        """Start (4) of the slope that explains most energy near the range of a fit."""
+        """Start (5) of the slope that explains most energy near the range of a fit."""
         at, reach = int(fit[4]), 2 * int(key.pulse) + 2
         low, high = max(at - reach, 0), min(at + reach, key.aperture.samples.shape[1])
         self._slopes.sum(low, high)
         _, d, k = self._slopes.strongest(1.0, low, high)
         x, y, _ = self._slope_directions[d]
-        return np.array([math.hypot(x, y), math.atan2(y, x), 0.0, k])
+        return np.array([math.hypot(x, y), math.atan2(y, x), 0.0, k, 0.0])
 
     def _fitted(self, key: Keyframe, start: Floats, steps: tuple[float, float, float, float]) -> tuple[Floats, Floats]:
         """Fit and sums of `refine` from a start, with first steps in degrees, 1/m, bins and cosine."""
-        sums, fit = np.zeros((len(key.aperture.axes), 3)), np.zeros(6)
+        sums, fit = np.zeros((len(key.aperture.axes), 3)), np.zeros(7)
         size = np.array([math.radians(steps[0]), steps[1] * key.bin_m, steps[2], steps[3]])
         refine(key.aperture, start, size, self._spec.most_curvature * key.bin_m, sums, fit)
         return fit, sums
@@ -285,7 +297,7 @@ class EchoFinder:
             sums: as of `refine`.
             left: energy that stronger echoes may have left at its range; it counts as not explained.
         """
-        explained, energy, bearing, curvature, place, cosine = fit
+        explained, energy, bearing, curvature, place, cosine, lying = fit
         coherence = min(explained / max(energy + left, 1e-30), MOST_COHERENCE)
         aperture = key.aperture
         ahead = np.array([math.cos(bearing), math.sin(bearing), 0.0])
@@ -294,6 +306,8 @@ class EchoFinder:
         active = (gains > LEAST_GAIN * gains.max())[aperture.sensor]
         along = aperture.offset[active] @ ahead * key.bin_m
         across = aperture.offset[active] @ [-ahead[1], ahead[0], 0.0] * key.bin_m
+        if lying:
+            curvature *= float(lying_share(cosine, float(track_of(aperture) @ ahead)))
         loudest = int(np.argmax(gains))
         mean = math.hypot(sums[loudest, 0], sums[loudest, 1]) / max(sums[loudest, 2], 1)
         range_m = key.start_m + key.bin_m * place

@@ -16,6 +16,7 @@ from ullage.processing.baseband import as_baseband
 from ullage.processing.likelihood.cells import render
 from ullage.processing.likelihood.echoes import EchoFinder
 from ullage.processing.likelihood.keyframes import Keyframe, KeyframeSelector
+from ullage.processing.likelihood.lying import cut_or_foot
 from ullage.processing.likelihood.silence import Silence
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import Surface, SurfaceTracker, smoothed
@@ -23,7 +24,7 @@ from ullage.processing.likelihood.workload import Workload
 from ullage.processing.mapper_door import in_order, plane_of, radius_of_vehicle
 
 CELL_M = 0.05  # places of the track are kept apart by as much
-STRAIGHT_DOWN = -1.0, 0.0, 0.0  # bearing, curvature and cosine of a level floor
+STRAIGHT_DOWN = -1.0, 0.0, 0.0, 0.0, 0.0  # a level floor's bearing, curvature and cosine; it has one state only
 
 
 class LikelihoodMapper:
@@ -115,7 +116,7 @@ class LikelihoodMapper:
 
     def _explained(self, key: Keyframe) -> Iterator[None]:
         """What a keyframe adds to the surfaces, in steps of work."""
-        known = self._tracker.known(key.position[:2])
+        known = self._tracker.known(key.position)
         if self._floor_z_m is not None:
             known = np.vstack([known, [key.position[2] - self._floor_z_m, *STRAIGHT_DOWN]])
         echoes = yield from self._echoes.steps(key, known)
@@ -167,5 +168,6 @@ def _mapped(surfaces: list[Surface], kept: Bools) -> tuple[MappedSurface, ...]:
         state, _ = smoothed(one)
         normal = -np.stack([np.cos(state[:, 1]), np.sin(state[:, 1])], axis=1)
         given = one.position, one.state, one.covariance, one.log_odds, len(place), bool(on_map)
-        out.append(MappedSurface(one.kind, *given, place - state[:, :1] * normal, normal))
+        far = cut_or_foot(state) if one.lying else state[:, 0]
+        out.append(MappedSurface(one.kind, *given, place - far[:, None] * normal, normal))
     return tuple(out)

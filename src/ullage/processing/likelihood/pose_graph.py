@@ -84,7 +84,7 @@ def find_track(parts: list[Frames], spec: LikelihoodSpec) -> Track:
     t_s: list[float] = []
     found: list[Echoes] = []
     for tracker.keyframe, key in enumerate(selector.ready(finish=True)):
-        found.append(finder.find(key, tracker.known(key.position[:2])))
+        found.append(finder.find(key, tracker.known(key.position)))
         tracker.update(found[-1])
         t_s.append(key.t_ns * 1e-9)
     runs: list[Run] = []

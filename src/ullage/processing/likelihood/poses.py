@@ -124,7 +124,7 @@ class AperturePoses:
         """Variance of a phase in a direction [rad^2]."""
         return float(unit @ self._covariance @ unit) * self._aperture.phase**2
 
-    def phases(self, unit: Floats, gains: Floats, curvature: float, place: float) -> EchoPhases:
+    def phases(self, unit: Floats, gains: Floats, curvature: float, place: float, *, lying: bool = False) -> EchoPhases:
         """Phases of an echo.
 
         Args:
@@ -132,10 +132,10 @@ class AperturePoses:
             gains: (s) of the sensors.
             curvature: of the range [1/bin].
             place: range [bin].
+            lying: whether it bends in the vertical plane through its direction only.
         """
         aperture = self._aperture
-        along = aperture.offset @ unit
-        delay = 0.5 * curvature * ((aperture.offset**2).sum(axis=1) - along**2) - along
+        delay = delays(aperture.offset, unit, curvature, lying=lying)
         at = np.clip(delay + place, 0, aperture.samples.shape[1] - 1.001)
         low, row = at.astype(int), np.arange(len(at))
         share = (at - low)[:, None]
@@ -168,3 +168,20 @@ class AperturePoses:
         gain = self._covariance @ unit * self._aperture.phase / total
         self._aperture.offset[:] += mean[self._moment, None] * gain
         self._covariance[:] -= np.outer(gain, gain) * max(total - spread, 0.0)
+
+
+def delays(offset: Floats, unit: Floats, curvature: float, *, lying: bool) -> Floats:
+    """Ranges (m) of a reflector from offsets (m, 3), less that from the place; all in one unit of length.
+
+    Args:
+        offset: of the sensor.
+        unit: level part (3) of the direction.
+        curvature: of the range.
+        lying: whether it bends in the vertical plane through its direction only; else it bends on all sides.
+    """
+    along, cosine = offset @ unit, float(np.linalg.norm(unit[:2]))
+    if lying and cosine > 0:
+        ahead = along / cosine
+        size = np.sqrt((cosine - curvature * ahead) ** 2 + max(1 - cosine**2, 0.0))
+        return np.asarray((curvature * ahead - 2 * cosine) * ahead / (size + 1))
+    return np.asarray(0.5 * curvature * ((offset**2).sum(axis=1) - along**2) - along)

@@ -17,7 +17,7 @@ from ullage.arrays import Floats
 from ullage.kernels.matched_sums import Aperture, refine
 
 ROLLS = np.arange(1, 12) * (2 * np.pi / 12)  # places of the rivals on the ring
-APART = math.cos(math.radians(30.0))  # nearer directions are no rivals: the fit itself separates them
+APART = math.cos(math.radians(31.0))  # nearer directions are no rivals: the fit itself separates them
 LATEST = 161  # echoes that show the level of a mirror
 MIRROR_PERCENT = 90.0
 LEVEL_SIGMA_DB = 6.0  # by which an echo may exceed that level: surfaces differ, and round ones focus
@@ -83,14 +83,14 @@ def rivals_of(aperture: Aperture, fit: Floats, gains: Floats, directions: Floats
 
     Args:
         aperture: the rows.
-        fit: (6) as of `refine`.
+        fit: (7) as of `refine`.
         gains: (m) of the directions.
         directions: (m, 3) as of `ring_of`.
     """
     cosine = np.hypot(directions[:, 0], directions[:, 1])
     bearing = np.where(cosine > 0, np.arctan2(directions[:, 1], directions[:, 0]), directions[:, 2])
-    left, sums, found = np.ones(len(directions)), np.zeros((len(aperture.axes), 3)), np.zeros(6)
+    left, sums, found = np.ones(len(directions)), np.zeros((len(aperture.axes), 3)), np.zeros(7)
     for m in range(len(directions)):
-        refine(aperture, np.array([cosine[m], bearing[m], fit[3], fit[4]]), np.zeros(4), np.inf, sums, found)
+        refine(aperture, np.array([cosine[m], bearing[m], fit[3], fit[4], 0.0]), np.zeros(4), np.inf, sums, found)
         left[m] = 1 - min(found[0] / max(found[1], 1e-30), 1.0)
     return Rivals(cosine, bearing, left, gains)
