@@ -321,7 +321,8 @@ class SurfaceTracker:
         total = (shows[:, :, None] * covariance * shows[:, None])[:, None] + echoes.covariance[None]
         inverse = np.linalg.inv(total)
         distance = np.einsum("sei,seij,sej->se", apart, inverse, apart)
-        distance += np.log(np.linalg.det(total) / np.linalg.det(echoes.covariance))
+        wider = np.linalg.det(total) / np.linalg.det(echoes.covariance)
+        distance += np.where(wider > 0, np.log(np.maximum(wider, 1e-30)), np.inf)  # rounding may spoil a covariance
         possible = (state[:, 0] >= NEAREST_M)[:, None] & (total[..., 0, 0] <= RANGE_GATE_M**2)
         behind = np.stack([one.evidence.max() - one.evidence for one in self.surfaces]).reshape(-1, 1)
         whole = np.where(possible & (distance <= self._spec.gate), distance + 2 * behind, np.inf)
