@@ -36,8 +36,8 @@ def correct_drift_by_surfaces(
     both changes hardly any. The smoothness of the offset at corners of the flight limits it.
 
     The evidence decides. The input is kept, with a warning, where no drift leads by 50 nats over the poses as they are,
-    where another drift comes as near as that to the best one, and where the search does not settle. It is also kept,
-    without a warning, where it explains as much as any drift and the best one is under 3 cm (rms).
+    where another drift comes as near as that to the best one, and where the search does not settle. It is also kept
+    where the best drift is under 3 cm (rms), without a warning if the surfaces show more than half of any drift.
 
     Args:
         frames: one sensor's, or several on one body, with poses.
@@ -70,24 +70,35 @@ def correct_drift_by_surfaces(
 
 
 def _decided(frames: dict[str, Frames], search: Search, drift_m: float) -> DriftCorrection:
-    """Return the frames moved by the best drift, or kept if it does not lead or is negligible."""
+    """Return the frames moved by the best drift, or kept if it is negligible or does not lead."""
     if not search.tried:
         return kept(frames, "no surface is seen well", drift_m)
     best = search.best
-    sigma, size, lead = np.sqrt(best.variance), _rms(best.offset), best.nats - search.kept.nats
+    sigma, size = np.sqrt(best.variance), _rms(best.offset)
     if size < HARMLESS_M and best.left < MOST_LEFT:
-        reason = f"the poses are within {1e3 * size:.0f} mm of the surfaces"
-        return DriftCorrection(frames, False, reason, best.t_s, 0 * best.offset, sigma + size)
-    if lead < LEAD_NATS:
-        return kept(frames, f"an offset of {1e3 * size:.0f} mm leads by {lead:.0f} nats, {LEAD_NATS:g} wanted", drift_m)
-    if rival := next((one for one in search.tried if _rivals(one, best)), None):
-        apart = 1e3 * _rms(_between(one=rival, best=best))
-        return kept(frames, f"two offsets that differ by {apart:.0f} mm explain as much", drift_m)
-    if not search.settled:
-        return kept(frames, f"an offset of {1e3 * size:.0f} mm has not settled", drift_m)
+        return DriftCorrection(frames, False, _near(size), best.t_s, 0 * best.offset, sigma + size)
+    if why := _why_kept(search):
+        return kept(frames, why, drift_m)
     done = f"moved by {1e3 * size:.0f} mm (rms), known to {1e3 * _rms(sigma):.0f} mm"
     out = {name: moved(part, best.drift, float(best.t_s[0])) for name, part in frames.items()}
     return DriftCorrection(out, True, done, best.t_s, best.offset, sigma)
+
+
+def _near(size: float) -> str:
+    return f"the poses are within {1e3 * size:.0f} mm of the surfaces"
+
+
+def _why_kept(search: Search) -> str | None:
+    """Say why the best drift is not to be believed; None where it is."""
+    best = search.best
+    size, lead = _rms(best.offset), best.nats - search.kept.nats
+    if size < HARMLESS_M:
+        return f"{_near(size)}, but these leave most of a drift open"
+    if lead < LEAD_NATS:
+        return f"an offset of {1e3 * size:.0f} mm leads by {lead:.0f} nats, {LEAD_NATS:g} wanted"
+    if rival := next((one for one in search.tried if _rivals(one, best)), None):
+        return f"two offsets that differ by {1e3 * _rms(_between(one=rival, best=best)):.0f} mm explain as much"
+    return None if search.settled else f"an offset of {1e3 * size:.0f} mm has not settled"
 
 
 def _between(*, one: Solution, best: Solution) -> Floats:
