@@ -348,6 +348,26 @@ def refine(aperture, start, steps, most_curvature, sums, found):  # type: ignore
 
 
 @loop(fastmath=True)
+def explain(aperture, directions, reflector, shares):  # type: ignore[no-untyped-def]
+    """Share of the energy that a reflector explains in each of some directions.
+
+    Args:
+        aperture: the rows.
+        directions: (m, 2) cosine of the elevation and bearing [rad], as of `refine`.
+        reflector: (2) curvature [1/bin] and range [bin].
+        shares: (m) set.
+    """
+    unit, gain, sums = np.empty(3), np.empty(len(aperture.axes)), np.empty((len(aperture.axes), 3))
+    parts = np.empty((aperture.moment.max() + 1, 2))
+    now = np.array([0.0, reflector[0], reflector[1], 0.0, 0.0])
+    for m in range(len(directions)):
+        now[3], now[0] = directions[m, 0], directions[m, 1]
+        _turn(now[3], now[0], unit)
+        explained, energy = _fit(aperture, unit, now, gain, sums, parts)
+        shares[m] = min(explained / max(energy, 1e-30), 1.0)
+
+
+@loop(fastmath=True)
 def subtract(aperture, found, sums, pulse):  # type: ignore[no-untyped-def]
     """Take a reflector out of the samples: each sensor's mean amplitude along it, times a Gaussian pulse.
 

@@ -237,9 +237,9 @@ class EchoFinder:
         if fit[6]:
             flat[3] *= lying_share(fit[5], float(track @ _unit(1.0, fit[2])))
         ring = ring_of(track, fit[5], fit[2])
-        gains = np.array([gains_of(aperture, unit).max() for unit in ring])
-        rivals = rivals_of(aperture, flat, gains, ring)
-        loudest = int(np.argmax(gains_of(aperture, ring[0])))
+        by_sensor = gains_of(aperture, ring)
+        gains, loudest = by_sensor.max(axis=1), int(np.argmax(by_sensor[0]))
+        rivals = rivals_of(aperture, flat, ring)
         level = math.hypot(sums[loudest, 0], sums[loudest, 1]) / max(sums[loudest, 2], 1)
         level *= key.start_m + key.bin_m * fit[4]
         if strongest:
@@ -346,8 +346,8 @@ def _unit(cosine: float, bearing: float) -> Floats:
     return np.array([0.0, 0.0, math.copysign(1.0, bearing)])
 
 
-def gains_of(aperture: Aperture, unit: Floats) -> Floats:
-    """Two-way amplitude gain (s) of each sensor in a direction, over that on boresight."""
+def gains_of(aperture: Aperture, units: Floats) -> Floats:
+    """Two-way amplitude gains (..., s) of the sensors in directions (..., 3), over those on boresight."""
     cells = aperture.gains.shape[1] - 1
-    cell = np.clip((1 - aperture.axes @ unit) * 0.5 * cells, 0, cells).astype(int)
-    return np.asarray(aperture.gains[np.arange(len(cell)), cell])
+    cell = np.clip((1 - units @ aperture.axes.T) * 0.5 * cells, 0, cells).astype(int)
+    return np.asarray(aperture.gains[np.arange(len(aperture.axes)), cell])

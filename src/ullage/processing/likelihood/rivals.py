@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ullage.arrays import Floats
-from ullage.kernels.matched_sums import Aperture, refine
+from ullage.kernels.matched_sums import Aperture, explain
 
 ROLLS = np.arange(1, 12) * (2 * np.pi / 12)  # places of the rivals on the ring
 APART = math.cos(math.radians(31.0))  # nearer directions are no rivals: the fit itself separates them
@@ -30,7 +30,6 @@ class Rivals(NamedTuple):
     cosine: Floats  # (m) level part of the unit vector
     bearing: Floats  # (m) [rad]
     left: Floats  # (m) share of the energy that is not explained
-    gain: Floats  # (m) two-way amplitude gain of the sensor that receives most
 
 
 class MirrorLevel:
@@ -41,17 +40,18 @@ class MirrorLevel:
 
     def __init__(self) -> None:
         self._levels: deque[float] = deque(maxlen=LATEST)
+        self._most = 0.0
 
     def learn(self, level: float) -> None:
         """Take the least level that the strongest echo of a keyframe may have."""
         self._levels.append(level)
+        self._most = float(np.percentile(self._levels, MIRROR_PERCENT))
 
     def excess_nats(self, level: Floats) -> Floats:
         """Nats against levels (m), for as far as they exceed a mirror's."""
         if not self._levels:
             return np.zeros_like(level)
-        most = float(np.percentile(self._levels, MIRROR_PERCENT))
-        over_db = 20 * np.log10(np.maximum(level / max(most, 1e-30), 1.0))
+        over_db = 20 * np.log10(np.maximum(level / max(self._most, 1e-30), 1.0))
         return np.asarray(0.5 * (over_db / LEVEL_SIGMA_DB) ** 2)
 
 
@@ -78,19 +78,16 @@ def ring_of(track: Floats, cosine: float, bearing: float) -> Floats:
     return np.vstack([unit, ring[ring @ unit < APART]])
 
 
-def rivals_of(aperture: Aperture, fit: Floats, gains: Floats, directions: Floats) -> Rivals:
+def rivals_of(aperture: Aperture, fit: Floats, directions: Floats) -> Rivals:
     """Fit an echo in all directions of its ring.
 
     Args:
         aperture: the rows.
         fit: (7) as of `refine`.
-        gains: (m) of the directions.
         directions: (m, 3) as of `ring_of`.
     """
     cosine = np.hypot(directions[:, 0], directions[:, 1])
     bearing = np.where(cosine > 0, np.arctan2(directions[:, 1], directions[:, 0]), directions[:, 2])
-    left, sums, found = np.ones(len(directions)), np.zeros((len(aperture.axes), 3)), np.zeros(7)
-    for m in range(len(directions)):
-        refine(aperture, np.array([cosine[m], bearing[m], fit[3], fit[4], 0.0]), np.zeros(4), np.inf, sums, found)
-        left[m] = 1 - min(found[0] / max(found[1], 1e-30), 1.0)
-    return Rivals(cosine, bearing, left, gains)
+    shares = np.empty(len(directions))
+    explain(aperture, np.column_stack([cosine, bearing]), fit[3:5], shares)
+    return Rivals(cosine, bearing, 1 - shares)

@@ -49,7 +49,7 @@ class Silence:
         if left is None or not self._levels or not key.aperture.phase:  # amplitudes leave too much unexplained
             return
         spec, rows = self._spec, np.bincount(key.aperture.sensor, minlength=len(key.aperture.axes))
-        gains = np.stack([gains_of(key.aperture, unit) for unit in left.directions]) ** 2 @ rows
+        gains = gains_of(key.aperture, left.directions) ** 2 @ rows
         energy = _with_echoes(key, echoes, left.energy, gains)
         expected = float(np.median(self._levels)) ** 2 * gains
         residual = Residual(energy, left.clutter, expected, left.low, left.high, key.start_m, key.bin_m)
