@@ -72,52 +72,63 @@ def listen(plane, place, residual, radius_m, defocus_m, weight, out):  # type: i
             out[row * plane.columns + column] += weight * min(max(nats, LEAST_NATS), MOST_NATS)
 
 
-@loop()
-def cover(plane, places, blocked, reach_m, half_m, out):  # type: ignore[no-untyped-def]
-    """Mark the normals of walls that would have been seen square from one of several places, in each cell.
+class Looks(NamedTuple):
+    """Whence surfaces are seen."""
 
-    Args:
-        plane: the cells.
-        places: (f, 2) of the track [m].
-        blocked: (cells) that end a line of sight.
-        reach_m: farthest view.
-        half_m: half length of the shortest wall.
-        out: (cells, n) set to True; the normals cover half a turn.
-    """
-    normals = out.shape[1]
-    for cell in range(plane.rows * plane.columns):
-        x = plane.x + plane.step * (cell % plane.columns + 0.5)
-        y = plane.y + plane.step * (cell // plane.columns + 0.5)
-        for i in range(len(places)):
-            dx, dy = x - places[i, 0], y - places[i, 1]
-            far = math.hypot(dx, dy)
-            middle = math.atan2(dy, dx) / math.pi * normals
-            if far > reach_m or far < BODY_M or out[cell, math.floor(middle) % normals]:
-                continue
-            steps, seen = int(far / (0.5 * plane.step)), True
-            for j in range(int(BODY_M / (0.5 * plane.step)), steps):
-                column = math.floor((places[i, 0] + dx * j / steps - plane.x) / plane.step)
-                row = math.floor((places[i, 1] + dy * j / steps - plane.y) / plane.step)
-                inside = 0 <= row < plane.rows and 0 <= column < plane.columns
-                if inside and blocked[row * plane.columns + column]:
-                    seen = False
-                    break
-            if seen:
-                wide = half_m / far / math.pi * normals
-                for n in range(math.floor(middle - wide), math.floor(middle + wide) + 1):
-                    out[cell, n % normals] = True
+    places: NDArray[np.float64]  # (f, 2) of the track [m]
+    blocked: NDArray[np.bool_]  # (cells) that end a line of sight
+    reach_m: float  # farthest view
+    half_m: float  # half length of the shortest surface
 
 
 class Walls(NamedTuple):
     """What is known of surfaces in the cells of a plane."""
 
+    looks: Looks
     square: NDArray[np.bool_]  # (cells, n) normals of surfaces that do not stand there; they cover half a turn
+    known: NDArray[np.bool_]  # (cells) whose normals are set
     end: NDArray[np.bool_]  # (cells) in which a surface may end, or belong to a known one
     bends: NDArray[np.float64]  # (b) curvatures of surfaces [1/m]
 
 
 @inner()
-def _is_received(plane, walls, cell, n, bend):  # type: ignore[no-untyped-def]
+def _is_seen(plane, looks, i, dx, dy, far):  # type: ignore[no-untyped-def]
+    """Whether nothing ends the line from a place."""
+    steps = int(far / (0.5 * plane.step))
+    for j in range(int(BODY_M / (0.5 * plane.step)), steps):
+        column = math.floor((looks.places[i, 0] + dx * j / steps - plane.x) / plane.step)
+        row = math.floor((looks.places[i, 1] + dy * j / steps - plane.y) / plane.step)
+        inside = 0 <= row < plane.rows and 0 <= column < plane.columns
+        if inside and looks.blocked[row * plane.columns + column]:
+            return False
+    return True
+
+
+@inner()
+def _look(plane, walls, cell, seen):  # type: ignore[no-untyped-def]
+    """Set the normals of surfaces that would have been seen square from one of several places, in one cell."""
+    looks, normals = walls.looks, len(seen)
+    seen[:] = False
+    x = plane.x + plane.step * (cell % plane.columns + 0.5)
+    y = plane.y + plane.step * (cell // plane.columns + 0.5)
+    for i in range(len(looks.places)):
+        dx, dy = x - looks.places[i, 0], y - looks.places[i, 1]
+        far = math.hypot(dx, dy)
+        if far > looks.reach_m or far < BODY_M:
+            continue
+        middle = math.atan2(dy, dx) / math.pi * normals
+        if seen[math.floor(middle) % normals] or not _is_seen(plane, looks, i, dx, dy, far):
+            continue
+        wide = looks.half_m / far / math.pi * normals
+        for n in range(math.floor(middle - wide), math.floor(middle + wide) + 1):
+            seen[n % normals] = True
+    for n in range(normals):  # normals are no surer than their step
+        walls.square[cell, n] = seen[n] and seen[n - 1] and seen[(n + 1) % normals]
+    walls.known[cell] = True
+
+
+@inner()
+def _is_received(plane, walls, cell, n, bend, seen):  # type: ignore[no-untyped-def]
     """Whether a surface through a cell would have been received, to one side of it or the other."""
     normals = walls.square.shape[1]
     start = ((n + 0.5) / normals + 0.5) * math.pi
@@ -132,6 +143,8 @@ def _is_received(plane, walls, cell, n, bend):  # type: ignore[no-untyped-def]
             if column < 0 or row < 0 or column >= plane.columns or row >= plane.rows:
                 break
             met = row * plane.columns + column
+            if not walls.known[met]:
+                _look(plane, walls, met, seen)
             if walls.square[met, math.floor((angle / math.pi - 0.5) * normals) % normals]:
                 return True
             if walls.end[met]:
@@ -147,14 +160,17 @@ def exclude(plane, walls, out):  # type: ignore[no-untyped-def]
 
     Args:
         plane: the cells.
-        walls: what is known of surfaces.
+        walls: what is known of surfaces; cells that are looked at become known.
         out: (cells) set to False.
     """
+    seen = np.empty(walls.square.shape[1], np.bool_)
     for cell in range(plane.rows * plane.columns):
+        if out[cell] and not walls.known[cell]:
+            _look(plane, walls, cell, seen)
         for n in range(walls.square.shape[1] if out[cell] else 0):
             if walls.square[cell, n] or not out[cell]:
                 continue
             for bend in walls.bends:
-                if not _is_received(plane, walls, cell, n, bend):
+                if not _is_received(plane, walls, cell, n, bend, seen):
                     out[cell] = False
                     break

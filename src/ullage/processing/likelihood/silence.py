@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Floats
 from ullage.grids import Grid
-from ullage.kernels.silence import Residual, Walls, cover, exclude, listen
+from ullage.kernels.silence import Looks, Residual, Walls, exclude, listen
 from ullage.kernels.surface_cells import Plane
 from ullage.processing.likelihood.echoes import Echoes, Left, gains_of
 from ullage.processing.likelihood.keyframes import Keyframe
@@ -94,11 +94,8 @@ def without_surfaces(plane: Plane, flown: Floats, shown: Bools, free: Bools, pos
     bends = np.array([0.0, *BENDS, *(-one for one in BENDS)])
     out, blocked = possible, shown
     for _ in range(ROUNDS):
-        square = np.zeros((len(shown), NORMALS), bool)
-        cover(plane, places, blocked, REACH_M, HALF_M, square)
-        square &= np.roll(square, 1, axis=1) & np.roll(square, -1, axis=1)  # normals are no surer than their step
-        square[free] = True
-        out = possible.copy()
-        exclude(plane, Walls(square, ends, bends), out)
+        square = np.repeat(free[:, None], NORMALS, axis=1)
+        out, looks = possible.copy(), Looks(places, blocked, REACH_M, HALF_M)
+        exclude(plane, Walls(looks, square, free.copy(), ends, bends), out)
         blocked = shown | (possible & ~out & ~free)
     return out
