@@ -14,7 +14,7 @@ from ullage.grids import Changes, Grid, OccupancyMap
 from ullage.processing.own_echo import without_own_echo
 from ullage.processing.scatterers import PFA, find_scatterers, with_scatterers
 
-BEST: Mapping[int, str] = {2: "likelihood", 3: "likelihood"}
+BEST: Mapping[int, str] = {2: "likelihood", 3: "rules"}
 """Method that "ullage" stands for, by the dimensions of the grid."""
 METHODS: Mapping[str, tuple[str, str]] = {
     "likelihood": ("ullage.processing.likelihood.methods", "likelihood_mapper"),
@@ -90,9 +90,9 @@ def map_occupancy(
     Args:
         frames: one sensor's, or several by name; sensors may differ in settings and rate.
         grid: a plane or a volume that holds the flight.
-        method: "ullage", the best one, which is "likelihood"; "likelihood", surfaces by one likelihood ratio; "rules",
-            all that each profile says; "elfes", the thesis' baseline; or the name of one that another package adds. The
-            map's `method` says which one made it.
+        method: "ullage", the best one: "likelihood" on a plane, "rules" in a volume; "likelihood", surfaces by one
+            likelihood ratio; "rules", all that each profile says; "elfes", the thesis' baseline; or the name of one
+            that another package adds. The map's `method` says which one made it.
         drift_m: sigma of a slow error of the poses [m]; above zero, it is taken out first as far as surfaces show it,
             and a warning says where they do not (`processing.drift_surfaces.correct_drift_by_surfaces`).
         remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).
@@ -100,7 +100,7 @@ def map_occupancy(
             `ul.calibrate` put on a track have such scatterers found and added (`processing.scatterers`).
         scatterer_pfa: probability that clutter alone adds one coherent scatterer or more.
         options: those of the method's mapper: `threshold` of "elfes"; of the others `floor_z_m`, a level floor's height
-            [m], which takes its echoes, and `vehicle_radius_m`, the radius of the ball about the antenna
+            [m], whose echoes a plane leaves out, and `vehicle_radius_m`, the radius of the ball about the antenna
             that the vehicle fills (0.25 m); of "likelihood" `spec`, a `processing.likelihood.spec.LikelihoodSpec`.
 
     Raises:

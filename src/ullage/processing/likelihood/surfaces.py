@@ -409,7 +409,7 @@ def merged(surfaces: list[Surface]) -> list[Surface]:
     out, gone = list(surfaces), set()
     order = sorted(range(len(out)), key=lambda index: -len(out[index].sightings))
     for place, index in enumerate(order):
-        if not out[index].lying or index in gone:
+        if out[index].kind != "lying" or index in gone:  # one whose bend is open predicts ranges of level walls too
             continue
         for other in order[place + 1 :]:
             fits = [] if other in gone else _explained(out[index], surfaces[other])
