@@ -81,6 +81,13 @@ class Looks(NamedTuple):
     half_m: float  # half length of the shortest surface
 
 
+class Courses(NamedTuple):
+    """How surfaces of each normal and bend go on from a cell, to one side and then to the other (c)."""
+
+    first: NDArray[np.int64]  # (c + 1) places of each in the rows below; normal by normal, bend by bend
+    steps: NDArray[np.int32]  # (k, 3) rows and columns from the cell, and the normal there
+
+
 class Walls(NamedTuple):
     """What is known of surfaces in the cells of a plane."""
 
@@ -88,7 +95,7 @@ class Walls(NamedTuple):
     square: NDArray[np.bool_]  # (cells, n) normals of surfaces that do not stand there; they cover half a turn
     known: NDArray[np.bool_]  # (cells) whose normals are set
     end: NDArray[np.bool_]  # (cells) in which a surface may end, or belong to a known one
-    bends: NDArray[np.float64]  # (b) curvatures of surfaces [1/m]
+    courses: Courses
 
 
 @inner()
@@ -128,24 +135,19 @@ def _look(plane, walls, cell, seen):  # type: ignore[no-untyped-def]
 
 
 @inner()
-def _is_received(plane, walls, cell, n, bend, seen):  # type: ignore[no-untyped-def]
+def _is_received(plane, walls, cell, course, seen):  # type: ignore[no-untyped-def]
     """Whether a surface through a cell would have been received, to one side of it or the other."""
-    normals = walls.square.shape[1]
-    start = ((n + 0.5) / normals + 0.5) * math.pi
-    for side in (-1.0, 1.0):
-        x, y, angle, turn = cell % plane.columns + 0.5, cell // plane.columns + 0.5, start, side * bend * plane.step
-        while abs(angle - start) < math.pi:
-            angle += 0.25 * turn
-            x += 0.5 * side * math.cos(angle)
-            y += 0.5 * side * math.sin(angle)
-            angle += 0.25 * turn
-            column, row = math.floor(x), math.floor(y)
+    first, steps = walls.courses.first, walls.courses.steps
+    here, there = cell // plane.columns, cell % plane.columns
+    for one in range(2 * course, 2 * course + 2):
+        for k in range(first[one], first[one + 1]):
+            row, column = here + steps[k, 0], there + steps[k, 1]
             if column < 0 or row < 0 or column >= plane.columns or row >= plane.rows:
                 break
             met = row * plane.columns + column
             if not walls.known[met]:
                 _look(plane, walls, met, seen)
-            if walls.square[met, math.floor((angle / math.pi - 0.5) * normals) % normals]:
+            if walls.square[met, steps[k, 2]]:
                 return True
             if walls.end[met]:
                 break
@@ -163,14 +165,15 @@ def exclude(plane, walls, out):  # type: ignore[no-untyped-def]
         walls: what is known of surfaces; cells that are looked at become known.
         out: (cells) set to False.
     """
-    seen = np.empty(walls.square.shape[1], np.bool_)
+    normals = walls.square.shape[1]
+    seen, bends = np.empty(normals, np.bool_), len(walls.courses.first) // (2 * normals)
     for cell in range(plane.rows * plane.columns):
         if out[cell] and not walls.known[cell]:
             _look(plane, walls, cell, seen)
-        for n in range(walls.square.shape[1] if out[cell] else 0):
+        for n in range(normals if out[cell] else 0):
             if walls.square[cell, n] or not out[cell]:
                 continue
-            for bend in walls.bends:
-                if not _is_received(plane, walls, cell, n, bend, seen):
+            for course in range(n * bends, (n + 1) * bends):
+                if not _is_received(plane, walls, cell, course, seen):
                     out[cell] = False
                     break

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Floats
 from ullage.grids import Grid
-from ullage.kernels.silence import Looks, Residual, Walls, exclude, listen
+from ullage.kernels.silence import Courses, Looks, Residual, Walls, exclude, listen
 from ullage.kernels.surface_cells import Plane
 from ullage.processing.likelihood.echoes import Echoes, Left, gains_of
 from ullage.processing.likelihood.keyframes import Keyframe
@@ -91,11 +92,33 @@ def without_surfaces(plane: Plane, flown: Floats, shown: Bools, free: Bools, pos
         ends: (cells) in which a surface may end unheard.
     """
     places = (np.unique(np.floor(flown / PLACE_M), axis=0) + 0.5) * PLACE_M
-    bends = np.array([0.0, *BENDS, *(-one for one in BENDS)])
+    courses = _courses(plane.rows, plane.columns, plane.step)
     out, blocked = possible, shown
     for _ in range(ROUNDS):
         square = np.repeat(free[:, None], NORMALS, axis=1)
-        out, looks = possible.copy(), Looks(places, blocked, REACH_M, HALF_M)
-        exclude(plane, Walls(looks, square, free.copy(), ends, bends), out)
+        out, looks = out.copy(), Looks(places, blocked, REACH_M, HALF_M)  # what hides more excludes no more
+        exclude(plane, Walls(looks, square, free.copy(), ends, courses), out)
         blocked = shown | (possible & ~out & ~free)
     return out
+
+
+@lru_cache(maxsize=4)
+def _courses(rows: int, columns: int, step_m: float) -> Courses:
+    """Steps of half a cell along planes and cylinders, as far as the plane reaches or half a turn."""
+    first, found = [0], []
+    count = np.arange(2 * math.ceil(math.hypot(rows, columns)))
+    for n in range(NORMALS):
+        start = ((n + 0.5) / NORMALS + 0.5) * math.pi
+        for bend in (0.0, *BENDS, *(-one for one in BENDS)):
+            for side in (-1.0, 1.0):
+                turn = 0.5 * side * bend * step_m
+                some = count[np.abs(turn) * count < math.pi]
+                moving, angle = start + (some + 0.5) * turn, start + (some + 1) * turn
+                row = np.floor(0.5 + np.cumsum(0.5 * side * np.sin(moving)))
+                column = np.floor(0.5 + np.cumsum(0.5 * side * np.cos(moving)))
+                normal = np.floor((angle / math.pi - 0.5) * NORMALS) % NORMALS
+                steps = np.stack([row, column, normal], axis=1).astype(np.int32)
+                fresh = np.any(np.diff(steps, axis=0, prepend=-1), axis=1)
+                found.append(steps[fresh])
+                first.append(first[-1] + len(found[-1]))
+    return Courses(np.array(first), np.concatenate(found))
