@@ -25,6 +25,7 @@ BENDS = 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0 
 ROUNDS = 3  # of views, since surfaces that may stand somewhere hide what lies behind
 REACH_M = 5.0  # from which a wall seen square is surely received
 PLACE_M = 0.2  # between places of the track
+CELL_M = 0.2  # least size of the cells in which surfaces are followed, for its time grows with the inverse cube
 HALF_M = 0.15  # half length of the shortest wall that counts: shorter ones scatter as poles do
 
 
@@ -91,6 +92,25 @@ def without_surfaces(plane: Plane, flown: Floats, shown: Bools, free: Bools, pos
         possible: (cells) to look at; others end no line of sight.
         ends: (cells) in which a surface may end unheard.
     """
+    side = max(round(CELL_M / plane.step), 1)
+    rows, columns = -(-plane.rows // side), -(-plane.columns // side)
+
+    def blocks(cells: Bools, *, whole: bool) -> Bools:
+        """Which blocks, `side` cells wide, these cells fill, or else touch; none lie beyond the plane."""
+        padded = np.zeros((rows * side, columns * side), bool)
+        padded[: plane.rows, : plane.columns] = cells.reshape(plane.rows, plane.columns)
+        parts = padded.reshape(rows, side, columns, side)
+        return np.asarray(parts.all(axis=(1, 3)) if whole else parts.any(axis=(1, 3))).ravel()
+
+    coarse, through = Plane(plane.x, plane.y, side * plane.step, rows, columns), blocks(free, whole=True)
+    seen = blocks(possible | free, whole=True) & ~through
+    left = through | _left(coarse, flown, blocks(shown, whole=False), through, seen, blocks(ends, whole=False))
+    fine = np.repeat(np.repeat(left.reshape(rows, columns), side, axis=0), side, axis=1)
+    return possible & fine[: plane.rows, : plane.columns].ravel()
+
+
+def _left(plane: Plane, flown: Floats, shown: Bools, free: Bools, possible: Bools, ends: Bools) -> Bools:
+    """The same, in cells of one size."""
     places = (np.unique(np.floor(flown / PLACE_M), axis=0) + 0.5) * PLACE_M
     courses = _courses(plane.rows, plane.columns, plane.step)
     out, blocked = possible, shown
@@ -98,7 +118,7 @@ def without_surfaces(plane: Plane, flown: Floats, shown: Bools, free: Bools, pos
         square = np.repeat(free[:, None], NORMALS, axis=1)
         out, looks = out.copy(), Looks(places, blocked, REACH_M, HALF_M)  # what hides more excludes no more
         exclude(plane, Walls(looks, square, free.copy(), ends, courses), out)
-        blocked = shown | (possible & ~out & ~free)
+        blocked = shown | (possible & ~out)
     return out
 
 
