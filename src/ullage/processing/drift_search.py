@@ -15,7 +15,6 @@ from ullage.processing.likelihood.spec import LikelihoodSpec
 
 PASSES = 12  # at most; most flights settle after 3 to 6
 BEAM = 2  # priors that later passes try
-UPRIGHT = LikelihoodSpec(upright_nats=1000.0)  # upright surfaces only: a free elevation would explain part of a drift
 WALLS_SIGMA_M = 0.005  # to which a drift follows the offset that flat walls show
 
 
@@ -59,7 +58,7 @@ def search_drift(parts: list[Frames], priors: list[DriftPrior], walls: Offset | 
         priors: of the drift, as likely as each other, the slowest first.
         walls: an offset that flat walls show, one of the candidates of the first pass.
     """
-    spec = UPRIGHT
+    spec = LikelihoodSpec()
     track = find_track(parts, spec)
     nothing = np.zeros((len(track.t_s), 2))
     none = Drift(priors[0], np.zeros((2, priors[0].size)))
@@ -95,7 +94,7 @@ def _solved(parts: list[Frames], start: Solution, prior: DriftPrior, spec: Likel
 
 def _by_walls(parts: list[Frames], track: Track, prior: DriftPrior, walls: Offset) -> Solution | None:
     """The offset that flat walls show, and what the mapper explains with it."""
-    spec, t_s = UPRIGHT, track.t_s
+    spec, t_s = LikelihoodSpec(), track.t_s
     drift = prior.fitted(t_s, walls.at(t_s), WALLS_SIGMA_M)
     track = find_track([moved(part, drift, float(t_s[0])) for part in parts], spec)
     graph = PoseGraph(track, prior, spec, drift)

@@ -20,7 +20,7 @@ from ullage.processing.likelihood.drift_prior import Drift, DriftPrior
 from ullage.processing.likelihood.echoes import Echoes, EchoFinder
 from ullage.processing.likelihood.keyframes import KeyframeSelector
 from ullage.processing.likelihood.spec import LikelihoodSpec
-from ullage.processing.likelihood.surfaces import Surface, SurfaceTracker, transported
+from ullage.processing.likelihood.surfaces import LYING, Surface, SurfaceTracker, transported
 
 ROWS = 5  # of an echo: range, bearing, curvature, cosine of the elevation, cosine of the angle to the motion
 SHARE = 0.25  # variance of an echo over that which the tracker uses: the drift explains the rest of it
@@ -64,12 +64,20 @@ class Run:
 
 
 class _RunTracker(SurfaceTracker):
-    """A tracker that keeps which echo it gave to which surface."""
+    """A tracker that keeps which echo it gave to which surface.
+
+    Lying cylinders are no rivals in it, since the graph has no factor for them.
+    """
 
     def __init__(self, spec: LikelihoodSpec) -> None:
         super().__init__(spec)
         self.seen: dict[int, tuple[Surface, list[tuple[int, int]]]] = {}
         self.keyframe = 0
+
+    def _born(self, echoes: Echoes, echo: int) -> Surface:
+        born = super()._born(echoes, echo)
+        born.evidence[LYING] = -np.inf
+        return born
 
     def _see(self, surface: Surface, echoes: Echoes, echo: int, evidence: Floats) -> None:
         super()._see(surface, echoes, echo, evidence)
