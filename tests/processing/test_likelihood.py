@@ -262,10 +262,10 @@ def around(centre=(0.0, 0.0), radius_m=1.2):
     return Trajectory(np.arange(len(xy)) * 120_000_000, np.column_stack([xy, 0 * angle]), quat)
 
 
-def test_silence_frees_what_surfaces_cannot_reach_unheard():
-    """No echo came through the middle of a round trip below a wall, on which only the wall is heard.
+def test_silence_frees_what_surfaces_cannot_reach_without_an_echo():
+    """No echo came through the middle of a round trip below a wall, on which only the wall is received.
 
-    Outside, a surface is seen square or ends, and its end would be heard. Behind the wall nothing is known.
+    Outside, a surface is seen square or ends, and its end would be received. Behind the wall nothing is known.
     """
     omap = mapped(flown(around(), wall(90, 3.0))).map()
     places = np.array([[0.0, 0.0], [0.05, -0.35], [0.45, -1.65], [0.0, -3.6], [0.0, 3.4], [2.0, 3.4]])

@@ -66,7 +66,7 @@ def heights(starts, normals, place, out):  # type: ignore[no-untyped-def]
 
 
 @lean(by_fields=True, nogil=True, error_model="numpy")
-def look_at(edges: CutEdges, pairs: CutPairs, corners: Corners, met, place, off, spots: EdgeSpots):  # type: ignore[no-untyped-def]
+def place_edges(edges: CutEdges, pairs: CutPairs, corners: Corners, met, place, off, spots: EdgeSpots):  # type: ignore[no-untyped-def]
     """Find the points from which edges are seen, just off them in their open side.
 
     An end from which a piece goes on is seen where that piece is.

@@ -13,7 +13,7 @@ from ullage.kernels.surface_cells import BODY_M
 
 NEAR_BINS = 2  # about the range of a cell: half its diagonal
 LEAST_NATS, MOST_NATS = -2.0, 4.0  # that one keyframe may say, since an obstacle may be weaker than its law
-NOISE = 3.0  # the largest of several bins and looks over the mean of one
+NOISE = 3.0  # the largest of several bins and sight over the mean of one
 
 
 class Residual(NamedTuple):
@@ -72,8 +72,8 @@ def listen(plane, place, residual, radius_m, defocus_m, weight, out):  # type: i
             out[row * plane.columns + column] += weight * min(max(nats, LEAST_NATS), MOST_NATS)
 
 
-class Looks(NamedTuple):
-    """Whence surfaces are seen."""
+class Sight(NamedTuple):
+    """Places from which surfaces are seen, and what blocks the view."""
 
     places: NDArray[np.float64]  # (f, 2) of the track [m]
     blocked: NDArray[np.bool_]  # (cells) that end a line of sight
@@ -81,7 +81,7 @@ class Looks(NamedTuple):
     half_m: float  # half length of the shortest surface
 
 
-class Courses(NamedTuple):
+class Continuations(NamedTuple):
     """How surfaces of each normal and bend go on from a cell, to one side and then to the other (c)."""
 
     first: NDArray[np.int64]  # (c + 1) places of each in the rows below; normal by normal, bend by bend
@@ -91,42 +91,42 @@ class Courses(NamedTuple):
 class Walls(NamedTuple):
     """What is known of surfaces in the cells of a plane."""
 
-    looks: Looks
+    sight: Sight
     square: NDArray[np.bool_]  # (cells, n) normals of surfaces that do not stand there; they cover half a turn
     known: NDArray[np.bool_]  # (cells) whose normals are set
     end: NDArray[np.bool_]  # (cells) in which a surface may end, or belong to a known one
-    courses: Courses
+    continuations: Continuations
 
 
 @inner()
-def _is_seen(plane, looks, i, dx, dy, far):  # type: ignore[no-untyped-def]
+def _is_seen(plane, sight, i, dx, dy, far):  # type: ignore[no-untyped-def]
     """Whether nothing ends the line from a place."""
     steps = int(far / (0.5 * plane.step))
     for j in range(int(BODY_M / (0.5 * plane.step)), steps):
-        column = math.floor((looks.places[i, 0] + dx * j / steps - plane.x) / plane.step)
-        row = math.floor((looks.places[i, 1] + dy * j / steps - plane.y) / plane.step)
+        column = math.floor((sight.places[i, 0] + dx * j / steps - plane.x) / plane.step)
+        row = math.floor((sight.places[i, 1] + dy * j / steps - plane.y) / plane.step)
         inside = 0 <= row < plane.rows and 0 <= column < plane.columns
-        if inside and looks.blocked[row * plane.columns + column]:
+        if inside and sight.blocked[row * plane.columns + column]:
             return False
     return True
 
 
 @inner()
-def _look(plane, walls, cell, seen):  # type: ignore[no-untyped-def]
+def _set_normals(plane, walls, cell, seen):  # type: ignore[no-untyped-def]
     """Set the normals of surfaces that would have been seen square from one of several places, in one cell."""
-    looks, normals = walls.looks, len(seen)
+    sight, normals = walls.sight, len(seen)
     seen[:] = False
     x = plane.x + plane.step * (cell % plane.columns + 0.5)
     y = plane.y + plane.step * (cell // plane.columns + 0.5)
-    for i in range(len(looks.places)):
-        dx, dy = x - looks.places[i, 0], y - looks.places[i, 1]
+    for i in range(len(sight.places)):
+        dx, dy = x - sight.places[i, 0], y - sight.places[i, 1]
         far = math.hypot(dx, dy)
-        if far > looks.reach_m or far < BODY_M:
+        if far > sight.reach_m or far < BODY_M:
             continue
         middle = math.atan2(dy, dx) / math.pi * normals
-        if seen[math.floor(middle) % normals] or not _is_seen(plane, looks, i, dx, dy, far):
+        if seen[math.floor(middle) % normals] or not _is_seen(plane, sight, i, dx, dy, far):
             continue
-        wide = looks.half_m / far / math.pi * normals
+        wide = sight.half_m / far / math.pi * normals
         for n in range(math.floor(middle - wide), math.floor(middle + wide) + 1):
             seen[n % normals] = True
     for n in range(normals):  # normals are no surer than their step
@@ -135,18 +135,18 @@ def _look(plane, walls, cell, seen):  # type: ignore[no-untyped-def]
 
 
 @inner()
-def _is_received(plane, walls, cell, course, seen):  # type: ignore[no-untyped-def]
+def _is_received(plane, walls, cell, which, seen):  # type: ignore[no-untyped-def]
     """Whether a surface through a cell would have been received, to one side of it or the other."""
-    first, steps = walls.courses.first, walls.courses.steps
+    first, steps = walls.continuations.first, walls.continuations.steps
     here, there = cell // plane.columns, cell % plane.columns
-    for one in range(2 * course, 2 * course + 2):
+    for one in range(2 * which, 2 * which + 2):
         for k in range(first[one], first[one + 1]):
             row, column = here + steps[k, 0], there + steps[k, 1]
             if column < 0 or row < 0 or column >= plane.columns or row >= plane.rows:
                 break
             met = row * plane.columns + column
             if not walls.known[met]:
-                _look(plane, walls, met, seen)
+                _set_normals(plane, walls, met, seen)
             if walls.square[met, steps[k, 2]]:
                 return True
             if walls.end[met]:
@@ -162,18 +162,18 @@ def exclude(plane, walls, out):  # type: ignore[no-untyped-def]
 
     Args:
         plane: the cells.
-        walls: what is known of surfaces; cells that are looked at become known.
+        walls: what is known of surfaces; cells that are examined become known.
         out: (cells) set to False.
     """
     normals = walls.square.shape[1]
-    seen, bends = np.empty(normals, np.bool_), len(walls.courses.first) // (2 * normals)
+    seen, bends = np.empty(normals, np.bool_), len(walls.continuations.first) // (2 * normals)
     for cell in range(plane.rows * plane.columns):
         if out[cell] and not walls.known[cell]:
-            _look(plane, walls, cell, seen)
+            _set_normals(plane, walls, cell, seen)
         for n in range(normals if out[cell] else 0):
             if walls.square[cell, n] or not out[cell]:
                 continue
-            for course in range(n * bends, (n + 1) * bends):
-                if not _is_received(plane, walls, cell, course, seen):
+            for which in range(n * bends, (n + 1) * bends):
+                if not _is_received(plane, walls, cell, which, seen):
                     out[cell] = False
                     break

@@ -9,8 +9,7 @@ import numpy as np
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import corner_diffraction as corner_kernel
-from ullage.kernels import double_edge_diffraction, edge_diffraction, lines
-from ullage.kernels import edge_places as looks
+from ullage.kernels import double_edge_diffraction, edge_diffraction, edge_places, lines
 from ullage.kernels import wires as string
 from ullage.kernels.facets import EchoSums, Transmission
 from ullage.radar import corner_diffraction as corner
@@ -35,14 +34,14 @@ def accumulate_edges(
     corners, place = _corners(context, poses), 0.5 * (antennas.origins[0] + antennas.origins[1])
     alone = _alone(context, antennas, edges, place)
     over = _over(context, antennas, pairs, place)
-    met = _corners_heard(context, antennas, corners)
+    met = _receivable_corners(context, antennas, corners)
     many, ends, across = len(alone.owner), len(alone.holders), len(over.of)
-    spots = looks.EdgeSpots(np.empty((many + ends + across + len(met), 3)), np.empty(many + ends, np.int64))
-    single = looks.CutEdges(
+    spots = edge_places.EdgeSpots(np.empty((many + ends + across + len(met), 3)), np.empty(many + ends, np.int64))
+    single = edge_places.CutEdges(
         alone.pieces, alone.owner, alone.tips, alone.holders, alone.ties, diffraction.outward(edges)
     )
-    paired = looks.CutPairs(over.pieces, over.of, pairs.normals, over.above)
-    count = looks.look_at(single, paired, corners, met, place, _NUDGE_M, spots)
+    paired = edge_places.CutPairs(over.pieces, over.of, pairs.normals, over.above)
+    count = edge_places.place_edges(single, paired, corners, met, place, _NUDGE_M, spots)
     last = count + across
     factor, late = transmission_to(context, parts, antennas, spots.places[: last + len(met)])
     beside = Transmission(factor[spots.seats], late[spots.seats])
@@ -60,9 +59,9 @@ def accumulate_edges(
 def _alone(context: RadarContext, antennas: AntennaPair, edges: diffraction.Edges, place: Floats) -> Parted:
     """Part the edges that are strong enough by themselves, seen from a place (3) [m]."""
     lit = np.empty(len(edges), np.bool_)
-    looks.facing(looks.EdgeSides(edges.starts, edges.normals, context.outlines.transmissive), place, lit)
+    edge_places.facing(edge_places.EdgeSides(edges.starts, edges.normals, context.outlines.transmissive), place, lit)
     asked = edge_diffraction.EdgeLines(edges.starts, edges.ends, lit, diffraction.equal_factors(edges))
-    return _parted(context, antennas, edges.starts, edges.ends, _heard(context, antennas, asked, False))
+    return _parted(context, antennas, edges.starts, edges.ends, _receivable(context, antennas, asked, False))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,14 +79,16 @@ def _over(context: RadarContext, antennas: AntennaPair, pairs: double.Pairs, pla
     above = np.empty(len(pairs))
     if not len(pairs):
         return Across(np.zeros((0, 2, 3)), np.zeros(0, np.int32), np.zeros(0, np.bool_), above)
-    looks.heights(pairs.starts, pairs.normals, place, above)
+    edge_places.heights(pairs.starts, pairs.normals, place, above)
     starts, ends = double.halfway(pairs)
     lit = (above > 0) | context.outlines.bare
-    heard = _heard(context, antennas, edge_diffraction.EdgeLines(starts, ends, lit, context.outlines.strong), True)
-    over, of = _cut(context, antennas, starts[heard], ends[heard], KAPPA)
-    of, turns = heard[of].astype(np.int32), np.zeros(len(of), np.bool_)
+    receivable = _receivable(
+        context, antennas, edge_diffraction.EdgeLines(starts, ends, lit, context.outlines.strong), True
+    )
+    over, of = _cut(context, antennas, starts[receivable], ends[receivable], KAPPA)
+    of, turns = receivable[of].astype(np.int32), np.zeros(len(of), np.bool_)
     if len(of):
-        over, of, turns = _with_turns(context, antennas, pairs, heard, over, of)
+        over, of, turns = _with_turns(context, antennas, pairs, receivable, over, of)
     return Across(over, of, turns, above)
 
 
@@ -97,7 +98,7 @@ def _corners(context: RadarContext, poses: Floats | None) -> corner_kernel.Corne
     return corner_kernel.Corners(at.places, at.along, at.lengths, at.normals, outlines.corners_bare)
 
 
-def _corners_heard(context: RadarContext, antennas: AntennaPair, corners: corner_kernel.Corners) -> Longs:
+def _receivable_corners(context: RadarContext, antennas: AntennaPair, corners: corner_kernel.Corners) -> Longs:
     out = np.empty(len(corners.places), np.int64)
     wave, gate = context.pulse.omega / C0, np.array(context.gate)
     return out[: corner_kernel.audible(corners, context.antennas(antennas), wave, gate, FAINT, out)]
@@ -120,7 +121,7 @@ def _accumulate_corners(
 
 
 def _with_turns(
-    context: RadarContext, antennas: AntennaPair, pairs: double.Pairs, heard: Longs, over: Floats, of: Ints
+    context: RadarContext, antennas: AntennaPair, pairs: double.Pairs, receivable: Longs, over: Floats, of: Ints
 ) -> tuple[Floats, Ints, Bools]:
     """Join the pieces of pairs of edges and those of paths that turn at an edge between.
 
@@ -128,8 +129,8 @@ def _with_turns(
         The pieces (m, 2, 3) [m], the pair of each (m), and whether its path turns (m).
     """
     paired = double_edge_diffraction.PairLines(pairs.starts, pairs.ends, pairs.gaps, context.outlines.closed)
-    ends, pair = np.empty((len(heard) + 1, 2, 3)), np.empty(len(heard) + 1, np.int32)
-    count = double_edge_diffraction.turning(heard, paired, antennas.origins[None], np.empty(3), ends, pair)
+    ends, pair = np.empty((len(receivable) + 1, 2, 3)), np.empty(len(receivable) + 1, np.int32)
+    count = double_edge_diffraction.turning(receivable, paired, antennas.origins[None], np.empty(3), ends, pair)
     turns = np.zeros(len(of) + count, np.bool_)
     if not count:
         return over, of, turns
@@ -152,7 +153,7 @@ class Parted:
     ties: Longs  # (n) piece that goes on from each end, -1 for none
 
 
-def _heard(context: RadarContext, antennas: AntennaPair, asked: edge_diffraction.EdgeLines, across: bool) -> Longs:
+def _receivable(context: RadarContext, antennas: AntennaPair, asked: edge_diffraction.EdgeLines, across: bool) -> Longs:
     """Find the lit lines whose echoes are not too faint; `across`: only the electric field across them counts."""
     wave, gate, scratch = context.pulse.omega / C0, np.array(context.gate), np.empty(3)
     found = []

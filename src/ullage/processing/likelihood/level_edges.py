@@ -27,7 +27,7 @@ LEAST_M = 0.3  # heights and distances below which the edge's echo is not apart 
 NEAR_M, NEAR = 0.06, 0.06  # range and cosine to the track within which an echo may be the edge's
 QUARTER = 0.25  # share of the expected energy from which an edge is received
 FAINT = 0.15  # share of the least energy of an echo that is expected of an edge at least, where one was found
-LEAST_LOOKS, LEAST_SHARE = 20, 0.6  # views in which an edge would be received, and share in which it is
+LEAST_VIEWS, LEAST_SHARE = 20, 0.6  # views in which an edge would be received, and share in which it is
 BLUR_M = 0.6  # heights over which one edge is received
 
 
@@ -36,7 +36,7 @@ class LevelEdges:
 
     def __init__(self, grid: Grid) -> None:
         self._z_m = grid.z_m
-        self._counts = np.zeros((3, len(grid.z_m)))  # views in which an edge is expected, expected and heard, found
+        self._counts = np.zeros((3, len(grid.z_m)))  # views in which an edge is expected, expected and received, found
 
     def add(self, key: Keyframe, echoes: DirectedEchoes, surfaces: Iterable[SpatialSurface]) -> None:
         """Take what the echoes of a keyframe left in its samples, and the echoes themselves."""
@@ -62,15 +62,15 @@ class LevelEdges:
             edge = np.minimum(r / (2 * np.sqrt(2 * math.pi**2 / key.wavelength_m * far) * np.abs(up)), 1.0)
             level = float(np.median([seen.level for seen in wall.sightings.values()]))
             expected, least = power * (level * edge / far) ** 2, silent[bins]
-            audible = (least > 0) & (expected > least)
-            self._counts[0, rows] += audible
-            self._counts[1, rows] += audible & (energy > QUARTER * expected)
+            receivable = (least > 0) & (expected > least)
+            self._counts[0, rows] += receivable
+            self._counts[1, rows] += receivable & (energy > QUARTER * expected)
             self._counts[2, rows] += (least > 0) & (energy > least) & (expected > FAINT * least)
 
     def nearest(self, low_m: float, high_m: float) -> tuple[float, float]:
         """Heights of the first edges below and above two heights [m]; infinite where none is found."""
-        expected, heard, found = (np.convolve(one, np.ones(3), "same") for one in self._counts)
-        edge = (expected >= LEAST_LOOKS) & (heard >= LEAST_SHARE * expected)
+        expected, received, found = (np.convolve(one, np.ones(3), "same") for one in self._counts)
+        edge = (expected >= LEAST_VIEWS) & (received >= LEAST_SHARE * expected)
         below = np.flatnonzero(self._z_m < low_m - LEAST_M)[::-1]
         above = np.flatnonzero(self._z_m > high_m + LEAST_M)
         return (

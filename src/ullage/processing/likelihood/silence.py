@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Floats
 from ullage.grids import Grid
-from ullage.kernels.silence import Courses, Looks, Residual, Walls, exclude, listen
+from ullage.kernels.silence import Continuations, Residual, Sight, Walls, exclude, listen
 from ullage.kernels.surface_cells import Plane
 from ullage.processing.likelihood.echoes import Echoes, Left, gains_of
 from ullage.processing.likelihood.keyframes import Keyframe
@@ -90,7 +90,7 @@ def without_surfaces(plane: Plane, flown: Floats, shown: Bools, free: Bools, pos
         shown: (cells) of known surfaces, which end a line of sight.
         free: (cells) through which echoes came.
         possible: (cells) to look at; others end no line of sight.
-        ends: (cells) in which a surface may end unheard.
+        ends: (cells) in which a surface may end without being received.
     """
     side = max(round(CELL_M / plane.step), 1)
     rows, columns = -(-plane.rows // side), -(-plane.columns // side)
@@ -112,18 +112,18 @@ def without_surfaces(plane: Plane, flown: Floats, shown: Bools, free: Bools, pos
 def _left(plane: Plane, flown: Floats, shown: Bools, free: Bools, possible: Bools, ends: Bools) -> Bools:
     """The same, in cells of one size."""
     places = (np.unique(np.floor(flown / PLACE_M), axis=0) + 0.5) * PLACE_M
-    courses = _courses(plane.rows, plane.columns, plane.step)
+    continuations = _continuations(plane.rows, plane.columns, plane.step)
     out, blocked = possible, shown
     for _ in range(ROUNDS):
         square = np.repeat(free[:, None], NORMALS, axis=1)
-        out, looks = out.copy(), Looks(places, blocked, REACH_M, HALF_M)  # what hides more excludes no more
-        exclude(plane, Walls(looks, square, free.copy(), ends, courses), out)
+        out, sight = out.copy(), Sight(places, blocked, REACH_M, HALF_M)  # more blocked views never exclude more
+        exclude(plane, Walls(sight, square, free.copy(), ends, continuations), out)
         blocked = shown | (possible & ~out)
     return out
 
 
 @lru_cache(maxsize=4)
-def _courses(rows: int, columns: int, step_m: float) -> Courses:
+def _continuations(rows: int, columns: int, step_m: float) -> Continuations:
     """Steps of half a cell along planes and cylinders, as far as the plane reaches or half a turn."""
     first, found = [0], []
     count = np.arange(2 * math.ceil(math.hypot(rows, columns)))
@@ -141,4 +141,4 @@ def _courses(rows: int, columns: int, step_m: float) -> Courses:
                 fresh = np.any(np.diff(steps, axis=0, prepend=-1), axis=1)
                 found.append(steps[fresh])
                 first.append(first[-1] + len(found[-1]))
-    return Courses(np.array(first), np.concatenate(found))
+    return Continuations(np.array(first), np.concatenate(found))

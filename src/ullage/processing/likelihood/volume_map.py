@@ -59,7 +59,7 @@ WALL_DB = -15.0  # of the weakest wall seen square against a mirror [ITU-R-P2040
 COARSE, NORMALS = 2, 168  # cells along a block in which silence is counted; directions in which space is closed off
 CLOSING_ODDS = 300.0  # log-odds of a surface that closes off free space
 BLOCKED = 10.0  # an echo of open direction ends silence unless it is as much weaker than the least occluder
-LEAST_LOOKS = 5  # keyframes that would have received an occluder
+LEAST_VIEWS = 5  # keyframes that would have received an occluder
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -306,16 +306,16 @@ def _silent(
     count = [-(-cells // COARSE) for cells in grid.shape]
     lattice = box._replace(step=COARSE * box.step, levels=count[0], rows=count[1], columns=count[2])
     silence = _silence(given, quiets, radar, spec)
-    looks, reach_m = np.zeros(math.prod(count), np.int32), np.zeros((len(quiets), NORMALS))
-    count_silence(box, lattice, silence, normals, occupied, looks, reach_m)
-    reach = np.sort(silence.position @ normals.T + reach_m, axis=0)[-min(LEAST_LOOKS, len(quiets))]
+    views, reach_m = np.zeros(math.prod(count), np.int32), np.zeros((len(quiets), NORMALS))
+    count_silence(box, lattice, silence, normals, occupied, views, reach_m)
+    reach = np.sort(silence.position @ normals.T + reach_m, axis=0)[-min(LEAST_VIEWS, len(quiets))]
     bound = np.maximum(reach, (near @ normals.T).max(axis=0))
     bound[[2, 5]] = np.minimum(bound[[2, 5]], np.array([ends_m[1], -ends_m[0]]) - spec.margin_m - CELL_MARGIN_M)
-    fine = looks.reshape(count)
+    fine = views.reshape(count)
     for axis in range(3):
         fine = fine.repeat(COARSE, axis)
     fine = fine[tuple(slice(cells) for cells in grid.shape)]
-    index = np.argwhere(fine >= LEAST_LOOKS)
+    index = np.argwhere(fine >= LEAST_VIEWS)
     centre = np.array([box.x, box.y, box.z]) + box.step * (index[:, ::-1] + 0.5)
     inside = index[np.all(centre.astype(np.float32) @ normals.T.astype(np.float32) <= bound, axis=1)]
     out = np.zeros(grid.shape, bool)
