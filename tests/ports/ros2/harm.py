@@ -1,13 +1,16 @@
-"""A faulty robot: frames at 50 Hz, and now and then a damaged one; at the end a burst. Prints how many were sent.
+"""A faulty robot: frames at 50 Hz, and now and then a damaged one; then a burst, and 50 Hz again.
 
-Its transforms are no numbers at first. Ends by itself.
+Its transforms are no numbers at first. Ends when its input does, and prints how many frames it sent.
 """
 
 from __future__ import annotations
 
 import json
+import sys
+import threading
 import time
 from array import array
+from itertools import count
 
 import rclpy
 from geometry_msgs.msg import TransformStamped
@@ -44,9 +47,14 @@ def main() -> None:
     while not frames.get_subscription_count():
         time.sleep(0.1)
     time.sleep(1.0)
+    over = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
     now = time.time()
-    for index in range(STEADY + BURST):
-        now = time.time() if index < STEADY else now + 0.002
+    for index in count():
+        if index >= STEADY + BURST and over.is_set():
+            break
+        steady = not STEADY <= index < STEADY + BURST
+        now = time.time() if index < STEADY else now + (0.02 if steady else 0.002)
         moved = TransformStamped(child_frame_id="base_link")
         moved.header.frame_id = "map"
         moved.header.stamp.sec, moved.header.stamp.nanosec = int(now), int(now % 1 * 1e9)
@@ -54,9 +62,9 @@ def main() -> None:
         moved.transform.rotation.w = 1.0
         tf.publish(TFMessage(transforms=[moved]))
         frames.publish(frame(index, now))
-        if index < STEADY:
+        if steady:
             time.sleep(0.02)
-    print(json.dumps(STEADY + BURST))
+    print(json.dumps(index))
     time.sleep(1.0)
     node.destroy_node()
     rclpy.shutdown()
