@@ -8,8 +8,11 @@ from test_mapper import PLAN, loop, moved
 
 import ullage as ul
 from ullage.data import Trajectory
+from ullage.processing.baseband import as_baseband
 from ullage.processing.drift_surfaces import correct_drift_by_surfaces
-from ullage.processing.likelihood.drift_prior import DriftPrior
+from ullage.processing.likelihood.drift_prior import Drift, DriftPrior
+from ullage.processing.likelihood.pose_graph import PoseGraph, find_track
+from ullage.processing.likelihood.spec import LikelihoodSpec
 
 
 def test_the_prior_is_a_matern_process_with_sparse_precision():
@@ -40,16 +43,38 @@ def test_a_drift_keeps_its_values_and_rates_under_another_prior():
     np.testing.assert_allclose(other.at(between), drift.at(between), atol=1e-4)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(1200)
-def test_a_room_gives_a_drifting_track_back():
-    flight = world.rig(loop(), PLAN, seed=1)
-    true = flight["front"].believed.position[:, :2]
+@pytest.fixture(scope="module")
+def flight():
+    return world.rig(loop(), PLAN, seed=1)
+
+
+@pytest.fixture(scope="module")
+def drifted(flight):
     shift = wander(flight["front"], 0.2)
-    drifted = {
+    return {
         name: moved(part, Trajectory(part.t_ns, part.believed.position + shift, part.believed.quat_xyzw))
         for name, part in flight.items()
     }
+
+
+def evidence(frames):
+    """Evidence of poses as they are."""
+    parts, spec = [as_baseband(part) for part in frames.values()], LikelihoodSpec()
+    prior = DriftPrior(*(parts[0].t_ns[[0, -1]] * 1e-9), 1e-3, 5.0)
+    graph = PoseGraph(find_track(parts, spec), prior, spec, Drift(prior, np.zeros((2, prior.size))))
+    return graph.evidence(graph.solve())
+
+
+@pytest.mark.slow
+def test_true_poses_have_the_most_evidence(flight, drifted):
+    """Each of a thousand echoes that a surface predicts is worth about a nat; a drift costs many of them."""
+    assert evidence(flight) > evidence(drifted) + 500
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_a_room_gives_a_drifting_track_back(flight, drifted):
+    true = flight["front"].believed.position[:, :2]
     done = correct_drift_by_surfaces(drifted)
     got = done.frames["front"].believed.position[:, :2]
     found, turn = shape_error(got, true)

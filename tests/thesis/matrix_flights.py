@@ -213,7 +213,7 @@ def rays_again(change: Callable[[Any], Any] = lambda part: part) -> Callable[[Ro
 
 
 def waves_longer(both: Room) -> Room:
-    return both[0], again(both[1], longer(0.5))
+    return both[0], again(both[1], longer(0.4))
 
 
 def fixed_bits(bits: int) -> Callable[[Patch], None]:
@@ -229,7 +229,7 @@ ROOM = Section("maps of the NTNU room", "room", state_room, (
     ), change=rays_again(longer(0.25))),
     Mutant("ray law, ranges 0.5 m too long", ("the plate is on the map at 0.2 m",), change=rays_again(longer(0.5))),
     Mutant("Elfes' lobe of 20 deg", ("space behind walls is mapped",), lobe(20.0), rays_again()),
-    Mutant("physical law, ranges 0.5 m too long", (
+    Mutant("physical law, ranges 0.4 m too long", (
         "ullage: the plate is on the map", "ullage's F1 over", "ullage: cells held known", "ullage: surface declared",
     ), change=waves_longer),
     Mutant("always one byte a cell", ("two values of 32 bits a cell",), fixed_bits(8)),

@@ -1,4 +1,4 @@
-"""Search for the drift at whose poses the likelihood mapper explains most."""
+"""Search for the drift at whose poses surfaces predict the echoes best."""
 
 from __future__ import annotations
 
@@ -10,25 +10,31 @@ from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.processing.drift_walls import Offset
 from ullage.processing.likelihood.drift_prior import Drift, DriftPrior
-from ullage.processing.likelihood.pose_graph import PoseGraph, Track, find_track
+from ullage.processing.likelihood.pose_graph import Estimate, PoseGraph, Track, find_track
 from ullage.processing.likelihood.spec import LikelihoodSpec
 
 PASSES = 12  # at most; most flights settle after 3 to 6
 BEAM = 2  # priors that later passes try
 WALLS_SIGMA_M = 0.005  # to which a drift follows the offset that flat walls show
+KNOWN_SIGMA_M = 0.001  # of the drift of poses that are taken as they are
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """A drift, and what the mapper explains at the poses that it corrects."""
+    """A drift, and the evidence for it from the echoes at the poses that it corrects."""
 
     drift: Drift
     track: Track  # keyframes and surfaces at the corrected poses
-    nats: float  # log-likelihood ratio of the samples, with the prior of the drift and the volume that it may take
-    t_s: Floats  # (k) of the keyframes
+    estimate: Estimate  # the drift that the same echoes show when all are weighed together
+    nats: float  # evidence
     offset: Floats  # (k, 2) since the first keyframe, to be added to the positions [m]
     variance: Floats  # (k, 2) of it [m^2]
     left: float  # share of the prior's variance
+
+    @property
+    def t_s(self) -> Floats:
+        """Times (k) of the keyframes."""
+        return self.track.t_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,73 +43,73 @@ class Search:
 
     kept: Solution  # the poses as they are
     tried: list[Solution]
-    settled: bool  # whether the last pass explained no more than the one before
+    settled: bool  # whether the last pass found no better drift than the one before
 
     @property
     def best(self) -> Solution:
-        """The solution that explains most."""
+        """The solution with most evidence."""
         return max(self.tried, key=lambda one: one.nats)
 
 
-def search_drift(parts: list[Frames], priors: list[DriftPrior], walls: Offset | None = None) -> Search:
-    """Search for the drift that explains the samples best.
+def search_drift(parts: list[Frames], priors: list[DriftPrior], walls: Offset | None = None) -> Search | None:
+    """Search for the drift with most evidence.
 
     Every pass estimates drift and surfaces together from the echoes of the pass before, under each prior. It then finds
-    echoes and surfaces anew at each result. Candidates differ in which echoes belong to which surface, so their own
-    costs do not compare. The samples are the same for all: what sure surfaces explain of them decides. A drift also
-    pays for its prior, and gains by the volume that the echoes leave it, by Laplace's method [MacKay2003].
+    echoes and surfaces anew at each result. Solutions differ in which echoes belong to which surface. Their evidence
+    compares, because each counts how much better its surfaces predict their echoes than chance does
+    (`PoseGraph.evidence`).
 
     Args:
         parts: frames with poses, of one carrier.
         priors: of the drift, as likely as each other, the slowest first.
         walls: an offset that flat walls show, one of the candidates of the first pass.
+
+    Returns:
+        What was found, or None where no surface is seen well.
     """
-    spec = LikelihoodSpec()
-    track = find_track(parts, spec)
-    nothing = np.zeros((len(track.t_s), 2))
-    none = Drift(priors[0], np.zeros((2, priors[0].size)))
-    kept = now = Solution(none, track, track.nats, track.t_s, nothing, nothing, 1.0)
-    tried = list[Solution]()
-    for _ in range(PASSES if len(track.t_s) > 1 else 0):
-        found = [one for prior in priors if (one := _solved(parts, now, prior, spec)) is not None]
-        if walls is not None and not tried and (one := _by_walls(parts, now.track, priors[-1], walls)) is not None:
-            found.append(one)
+    times = np.concatenate([part.believed.t_ns for part in parts]) * 1e-9
+    known = DriftPrior(float(times.min()), float(times.max()), KNOWN_SIGMA_M, priors[0].time_s)
+    now = kept = _judged(parts, Drift(known, np.zeros((2, known.size))))
+    if now is None or kept is None:
+        return None
+    tried, settled = list[Solution](), False
+    for _ in range(PASSES):
+        drifts = [_under(now, prior) for prior in priors]
+        if walls is not None and not tried:
+            drifts.append(priors[-1].fitted(now.t_s, walls.at(now.t_s), WALLS_SIGMA_M))
+        found = [one for drift in drifts if drift is not None and (one := _judged(parts, drift)) is not None]
         if not found:
             break
         found.sort(key=lambda one: -one.nats)
         settled = bool(tried) and found[0].nats <= now.nats
         tried += found
         if settled:
-            return Search(kept, tried, True)
+            break
         now, priors = found[0], list(dict.fromkeys(one.drift.prior for one in found))[:BEAM]
-    return Search(kept, tried, False)
+    return Search(kept, tried, settled) if tried else None
 
 
-def _solved(parts: list[Frames], start: Solution, prior: DriftPrior, spec: LikelihoodSpec) -> Solution | None:
-    """The drift by the echoes of a solution, and what it explains; None where no surface is seen well."""
-    graph = PoseGraph(start.track, prior, spec, start.drift)
-    estimate = graph.solve()
-    if estimate is None:
+def _under(start: Solution, prior: DriftPrior) -> Drift | None:
+    """The drift by the echoes of a solution under a prior; None where no surface is seen well."""
+    if start.drift.prior is prior:
+        return start.estimate.drift
+    estimate = PoseGraph(start.track, prior, LikelihoodSpec(), start.drift).solve()
+    return None if estimate is None else estimate.drift
+
+
+def _judged(parts: list[Frames], drift: Drift) -> Solution | None:
+    """Find echoes and surfaces at the poses that a drift corrects; None where no surface is seen well."""
+    spec, first = LikelihoodSpec(), min(float(part.believed.t_ns[0]) for part in parts) * 1e-9
+    track = find_track([moved(part, drift, first) for part in parts], spec)
+    if len(track.t_s) < 2:
         return None
-    t_s, drift = start.track.t_s, estimate.drift
-    offset, variance = drift.at(t_s), graph.variance(estimate)
-    track = find_track([moved(part, drift, float(t_s[0])) for part in parts], spec)
-    left = float(variance.sum() / graph.prior_variance().sum())
-    return Solution(drift, track, track.nats + graph.occam(estimate), t_s, offset - offset[0], variance, left)
-
-
-def _by_walls(parts: list[Frames], track: Track, prior: DriftPrior, walls: Offset) -> Solution | None:
-    """The offset that flat walls show, and what the mapper explains with it."""
-    spec, t_s = LikelihoodSpec(), track.t_s
-    drift = prior.fitted(t_s, walls.at(t_s), WALLS_SIGMA_M)
-    track = find_track([moved(part, drift, float(t_s[0])) for part in parts], spec)
-    graph = PoseGraph(track, prior, spec, drift)
+    graph = PoseGraph(track, drift.prior, spec, drift)
     estimate = graph.solve()
     if estimate is None:
         return None
     variance, offset = graph.variance(estimate), drift.at(track.t_s)
     left = float(variance.sum() / graph.prior_variance().sum())
-    return Solution(drift, track, track.nats + graph.occam(estimate), track.t_s, offset - offset[0], variance, left)
+    return Solution(drift, track, estimate, graph.evidence(estimate), offset - offset[0], variance, left)
 
 
 def moved(frames: Frames, drift: Drift, since_s: float) -> Frames:

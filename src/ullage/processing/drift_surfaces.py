@@ -15,7 +15,7 @@ from ullage.processing.drift_search import Search, Solution, moved, search_drift
 from ullage.processing.likelihood.drift_prior import DriftPrior
 
 TIMES = (1.0, 1 / 3, 1 / 9)  # correlation times that are tried, in lengths of the flight
-LEAD_NATS = 50.0  # by which a drift must lead; the same poses scatter by up to 100, as keyframes fall elsewhere
+LEAD_NATS = 50.0  # of evidence by which a drift must lead
 APART = 3.0  # standard deviations from which two solutions differ
 WALLS_S = 5.0  # correlation time for the fit to flat walls [s]
 MOST_LEFT = 0.5  # share of the prior's variance from which the poses are not known to be good
@@ -28,9 +28,9 @@ def correct_drift_by_surfaces(
 
     The offset of the track is a Gaussian process [Rasmussen2006]. It is estimated together with all surfaces that echo,
     so that the echoes fit their surfaces (`processing.likelihood.pose_graph`). Echoes are then found anew at the
-    corrected poses, and the estimate is repeated as long as the mapper explains more of the samples
-    (`processing.drift_search`). The fit to flat walls (`processing.drift`) is one of the candidates. It is the only one
-    where the carriers of the sensors differ. No angle between walls is assumed.
+    corrected poses, and the estimate is repeated as long as the evidence grows (`processing.drift_search`). The fit to
+    flat walls (`processing.drift`) is one of the candidates. It is the only one where the carriers of the sensors
+    differ. No angle between walls is assumed.
 
     The offset counts from the first keyframe, because a shift of track and surfaces together changes no echo. A turn of
     both changes hardly any. The smoothness of the offset at corners of the flight limits it.
@@ -69,9 +69,9 @@ def correct_drift_by_surfaces(
     return _decided(by_name, search_drift([as_baseband(part) for part in parts], priors, given), drift_m)
 
 
-def _decided(frames: dict[str, Frames], search: Search, drift_m: float) -> DriftCorrection:
+def _decided(frames: dict[str, Frames], search: Search | None, drift_m: float) -> DriftCorrection:
     """Return the frames moved by the best drift, or kept if it is negligible or does not lead."""
-    if not search.tried:
+    if search is None:
         return kept(frames, "no surface is seen well", drift_m)
     best = search.best
     sigma, size = np.sqrt(best.variance), _rms(best.offset)

@@ -38,6 +38,9 @@ SAME = np.array([0.01, 0.02, 0.05, 0.02])  # by which one surface may differ fro
 MOST_APART, LEAST_NATS = 16.0, 2.0  # squared distance of two surfaces that may be one; evidence for it
 SHARED = 0.1  # share of keyframes that saw both of two surfaces, up to which they may be one
 SPREAD = 8.0 * 2 * math.pi  # ranges and bearings over which surfaces spread [m rad]
+SPREAD_STATE = SPREAD * 2.0 * 1.0  # the same with curvatures and cosines of the elevation [rad]
+MEASURED = [0, 2, 3, 4]  # rows of an echo that its evidence counts
+SPREAD_ECHO = 8.0 * 2.0 * 1.0 * 2.0  # volume of these: range [m], curvature [1/m] and both cosines
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +50,6 @@ class Track:
     t_s: Floats  # (k)
     echoes: list[Echoes]  # of each keyframe
     runs: list[Run]  # echoes that a tracker gave to one surface
-    nats: float  # log-likelihood ratio that all sure surfaces explain
 
     @property
     def position(self) -> Floats:
@@ -104,7 +106,7 @@ def find_track(parts: list[Frames], spec: LikelihoodSpec) -> Track:
             run = pairs[rows[sure[rows]]]
             if len(run) >= LEAST_ECHOES:
                 runs.append(Run(run, surface.sloped))
-    return Track(np.array(t_s), found, runs, sum(one.log_odds for one in tracker.confirmed()))
+    return Track(np.array(t_s), found, runs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,13 +177,21 @@ class PoseGraph:
         estimate = self._improved(factors, self._start, state)
         return self._merged(factors, estimate)
 
-    def occam(self, estimate: Estimate) -> float:
-        """Log of the prior of a drift, times the volume that the echoes leave it [nat] [MacKay2003]."""
-        drift = estimate.drift.state
-        whole = self._normal(estimate.factors, drift, estimate.state)[0]
-        surfaces = splu(sparse.csc_matrix(whole[drift.size :, drift.size :]))
-        volume = _log_det(splu(self._precision)) - 0.5 * (_log_det(splu(whole)) - _log_det(surfaces))
-        return volume - 0.5 * float(np.sum((self._precision @ drift.T) * drift.T))
+    def evidence(self, estimate: Estimate) -> float:
+        """Log-likelihood ratio of all echoes with a drift against echoes of no surface [nat].
+
+        Drift and surfaces are integrated out by Laplace's method [MacKay2003], so both pay for the volume that they
+        leave of their priors. Echoes without a surface lie anywhere in the ranges that an echo may have. So each echo
+        of a surface counts by how much better the surface predicts it [Sittler1964], and much energy does not make up
+        for a poor prediction.
+        """
+        factors, drift = estimate.factors, estimate.drift.state
+        whole = self._normal(factors, drift, estimate.state)[0]
+        peak = 0.5 * np.sum(np.log(factors.weight[:, MEASURED] / (2 * np.pi)), axis=1)
+        told = self._independent * float(np.sum(peak + math.log(SPREAD_ECHO)))
+        kinds = -sum(float(np.sum(np.log(math.sqrt(2 * np.pi) * np.array(SIGMAS[kind])))) for kind in factors.kind)
+        surfaces = kinds + len(estimate.state) * (2 * math.log(2 * np.pi) - math.log(SPREAD_STATE))
+        return told - estimate.cost + surfaces + _log_det(splu(self._precision)) - 0.5 * _log_det(splu(whole))
 
     @staticmethod
     def _misfit(factors: _Factors, predicted: Floats) -> Floats:
