@@ -13,7 +13,7 @@ from ullage.kernels.surface_cells import BODY_M
 
 NEAR_BINS = 2  # about the range of a cell: half its diagonal
 LEAST_NATS, MOST_NATS = -2.0, 4.0  # that one keyframe may say, since an obstacle may be weaker than its law
-NOISE = 3.0  # the largest of several bins and sight over the mean of one
+NOISE = 3.0  # the largest of several bins and directions over the mean of one
 
 
 class Residual(NamedTuple):

@@ -69,15 +69,15 @@ def search_drift(parts: list[Frames], priors: list[DriftPrior], walls: Offset | 
     """
     times = np.concatenate([part.believed.t_ns for part in parts]) * 1e-9
     known = DriftPrior(float(times.min()), float(times.max()), KNOWN_SIGMA_M, priors[0].time_s)
-    now = kept = _judged(parts, Drift(known, np.zeros((2, known.size))))
-    if now is None or kept is None:
+    kept = _evaluated(parts, Drift(known, np.zeros((2, known.size))))
+    if kept is None:
         return None
-    tried, settled = list[Solution](), False
+    now, tried, settled = kept, list[Solution](), False
     for _ in range(PASSES):
-        drifts = [_under(now, prior) for prior in priors]
+        drifts = [_refitted(now, prior) for prior in priors]
         if walls is not None and not tried:
             drifts.append(priors[-1].fitted(now.t_s, walls.at(now.t_s), WALLS_SIGMA_M))
-        found = [one for drift in drifts if drift is not None and (one := _judged(parts, drift)) is not None]
+        found = [one for drift in drifts if drift is not None and (one := _evaluated(parts, drift)) is not None]
         if not found:
             break
         found.sort(key=lambda one: -one.nats)
@@ -89,7 +89,7 @@ def search_drift(parts: list[Frames], priors: list[DriftPrior], walls: Offset | 
     return Search(kept, tried, settled) if tried else None
 
 
-def _under(start: Solution, prior: DriftPrior) -> Drift | None:
+def _refitted(start: Solution, prior: DriftPrior) -> Drift | None:
     """The drift by the echoes of a solution under a prior; None where no surface is seen well."""
     if start.drift.prior is prior:
         return start.estimate.drift
@@ -97,7 +97,7 @@ def _under(start: Solution, prior: DriftPrior) -> Drift | None:
     return None if estimate is None else estimate.drift
 
 
-def _judged(parts: list[Frames], drift: Drift) -> Solution | None:
+def _evaluated(parts: list[Frames], drift: Drift) -> Solution | None:
     """Find echoes and surfaces at the poses that a drift corrects; None where no surface is seen well."""
     spec, first = LikelihoodSpec(), min(float(part.believed.t_ns[0]) for part in parts) * 1e-9
     track = find_track([moved(part, drift, first) for part in parts], spec)

@@ -38,9 +38,8 @@ SAME = np.array([0.01, 0.02, 0.05, 0.02])  # by which one surface may differ fro
 MOST_APART, LEAST_NATS = 16.0, 2.0  # squared distance of two surfaces that may be one; evidence for it
 SHARED = 0.1  # share of keyframes that saw both of two surfaces, up to which they may be one
 SPREAD = 8.0 * 2 * math.pi  # ranges and bearings over which surfaces spread [m rad]
-SPREAD_STATE = SPREAD * 2.0 * 1.0  # the same with curvatures and cosines of the elevation [rad]
-MEASURED = [0, 2, 3, 4]  # rows of an echo that its evidence counts
-SPREAD_ECHO = 8.0 * 2.0 * 1.0 * 2.0  # volume of these: range [m], curvature [1/m] and both cosines
+MEASURED = [0, 2, 3, 4]  # rows of an echo that its evidence counts: range, curvature and both cosines
+SPREAD_ECHO = 8.0 * 2.0 * 1.0 * 2.0  # over which these spread for echoes of no surface: m, 1/m, 1, 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,18 +179,24 @@ class PoseGraph:
     def evidence(self, estimate: Estimate) -> float:
         """Log-likelihood ratio of all echoes with a drift against echoes of no surface [nat].
 
-        Drift and surfaces are integrated out by Laplace's method [MacKay2003], so both pay for the volume that they
-        leave of their priors. Echoes without a surface lie anywhere in the ranges that an echo may have. So each echo
-        of a surface counts by how much better the surface predicts it [Sittler1964], and much energy does not make up
-        for a poor prediction.
+        Drift and surfaces are integrated out by Laplace's method [MacKay2003], so both pay for the volume of their
+        priors that the echoes exclude. An echo of no surface may have any range, curvature and cosine. An echo of a
+        surface counts by how much better the surface predicts it [Sittler1964]. So much energy does not make up for a
+        poor prediction.
+
+        Before any echo a surface has any range and bearing, and one of the kinds as likely as another. Its kind gives
+        the prior of its curvature and elevation.
         """
-        factors, drift = estimate.factors, estimate.drift.state
-        whole = self._normal(factors, drift, estimate.state)[0]
+        factors, drift, state = estimate.factors, estimate.drift.state, estimate.state
+        whole = self._normal(factors, drift, state)[0]
         peak = 0.5 * np.sum(np.log(factors.weight[:, MEASURED] / (2 * np.pi)), axis=1)
-        told = self._independent * float(np.sum(peak + math.log(SPREAD_ECHO)))
-        kinds = -sum(float(np.sum(np.log(math.sqrt(2 * np.pi) * np.array(SIGMAS[kind])))) for kind in factors.kind)
-        surfaces = kinds + len(estimate.state) * (2 * math.log(2 * np.pi) - math.log(SPREAD_STATE))
-        return told - estimate.cost + surfaces + _log_det(splu(self._precision)) - 0.5 * _log_det(splu(whole))
+        echoes = self._independent * float(np.sum(peak + math.log(SPREAD_ECHO)))
+        sigma = np.array([SIGMAS[kind] for kind in factors.kind])
+        edges = np.array([kind == "edge" for kind in factors.kind])
+        prior = -float(np.sum(np.log(sigma * math.sqrt(2 * np.pi)))) + float(np.sum(np.log(state[edges, 0])))
+        prior -= len(state) * math.log(SPREAD * len(SIGMAS))
+        volume = 2 * len(state) * math.log(2 * np.pi) + _log_det(splu(self._precision)) - 0.5 * _log_det(splu(whole))
+        return echoes - estimate.cost + prior + volume
 
     @staticmethod
     def _misfit(factors: _Factors, predicted: Floats) -> Floats:
