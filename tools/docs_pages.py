@@ -14,8 +14,10 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+import imc_page
 import ullage as ul
 from glossary_links import GlossaryLinks
+from reference_pages import references_page, scenario_page
 from ullage.cli import app
 
 GROUPS = {
@@ -50,9 +52,19 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages of reference to the documentation; mkdocs calls this."""
-    for name, text in {**api_pages(), "commands.md": commands_page()}.items():
+    for name, text in {**api_pages(), **pages_of_tables(Path(config.docs_dir))}.items():
         files.append(File.generated(config, name, content=text))
     return files
+
+
+def pages_of_tables(docs: Path) -> dict[str, str]:
+    """The pages of commands, scenarios, IMC messages and references by file name."""
+    return {
+        "commands.md": commands_page(),
+        "scenarios.md": scenario_page(),
+        "imc_messages.md": imc_page.page(),
+        "references.md": references_page((docs / "references.bib").read_text(encoding="utf-8")),
+    }
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:

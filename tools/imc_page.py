@@ -1,13 +1,27 @@
-"""The table of IMC messages in ROS as Markdown, for the documentation: `python tools/imc_page.py`."""
+"""The page of IMC messages in ROS as Markdown, made from the table of the relay as the documentation is built."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 
 from ullage.ports.imc.interpreter import PAIRS, REASONS, Row
 from ullage.ports.imc.relay import LOCAL
 from ullage.ports.imc.table import own
+
+HEAD = """# IMC messages in ROS
+
+This page lists every message of IMC 5.4.31 and the ROS 2 type that it becomes, or the reason why ROS has none. The file
+`src/ullage/ports/imc/ros_types.txt` is the table that the program reads; it gives each field with its unit and axes.
+[IMC and ROS](dune.md#imc-and-ros) explains how to run the relay.
+
+- ROS messages have ENU and FLU axes, SI units and angles counter-clockwise from east (REP-103). IMC has NED and FRD
+  axes and headings clockwise from north. The relay converts them.
+- Where one ROS type cannot hold all fields, further topics hold the others. The first topic sends the message; publish
+  the others before it.
+- `imc/packet` holds every packet without loss. Fields without a ROS field are in it only.
+- A plain `std_msgs` number has the unit that IMC gives it. Its topic says what it is.
+
+"""
 
 
 def lines() -> Iterator[str]:
@@ -40,9 +54,5 @@ def _line(row: Row) -> str:
 
 
 def page() -> str:
-    """Both tables."""
-    return "\n".join(lines()) + "\n"
-
-
-if __name__ == "__main__":
-    sys.stdout.write(page())
+    """What the relay does, and both tables."""
+    return HEAD + "\n".join(lines()) + "\n"

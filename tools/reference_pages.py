@@ -1,9 +1,8 @@
-"""Writes the docs pages that follow from the code: python tools/reference_pages.py. Tests hold the pages to it."""
+"""The pages of scenarios and references as Markdown, made from the code as the documentation is built."""
 
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 from ullage.config import Scenario, scenario_text
 from ullage.specs import RadarSpec
@@ -13,7 +12,6 @@ SCENARIOS = """# Scenarios
 A scenario is one YAML file: world, flight, radars, what to make of the echoes, and what must come out. `ullage list`
 names those that come with ullage, `ullage config NAME` prints one in full, `ullage run NAME` or `ullage run FILE.yaml`
 runs it.
-Written by `python tools/reference_pages.py`.
 
 | option | does | for |
 |---|---|---|
@@ -90,7 +88,7 @@ def scenario_page() -> str:
 
 def references_page(bibtex: str) -> str:
     """The page of references, as Markdown, from BibTeX text."""
-    lines = ["# References", "", "From `docs/references.bib`; written by `python tools/reference_pages.py`.", ""]
+    lines = ["# References", "", "From `docs/references.bib`.", ""]
     for key, body in sorted(re.findall(r"@\w+\{([^,\s]+),(.*?)\n\}", bibtex, re.S), key=lambda e: e[0].lower()):
         lines.append(f"- **[{key}]** {_told(body)}")
     return "\n".join(lines) + "\n"
@@ -116,16 +114,3 @@ def _plain(text: str) -> str:
     for mark, letter in {'\\"a': "ä", '\\"o': "ö", '\\"u': "ü", "\\'e": "é", "\\_": "_", "\\&": "&", "--": "-"}.items():
         text = text.replace(mark, letter)
     return re.sub(r"\s+", " ", re.sub(r"[{}]", "", text)).strip()
-
-
-def write_pages(docs: Path = Path("docs")) -> list[Path]:
-    """Write both pages into the folder of the docs."""
-    pages = {"scenarios.md": scenario_page(), "references.md": references_page((docs / "references.bib").read_text())}
-    for name, text in pages.items():
-        (docs / name).write_text(text, encoding="utf-8")
-    return [docs / name for name in pages]
-
-
-if __name__ == "__main__":
-    for written in write_pages():
-        print(written)

@@ -115,3 +115,17 @@ def test_carriers_that_differ_are_never_added_in_phase():
         ul.focus(frames, grid, combine="coherent", subaperture_m=0.1)
     with pytest.raises(ul.InputError, match="subaperture_m is 0"):
         ul.focus(frames["low"], grid, subaperture_m=0)
+
+
+def test_the_summation_image_sums_amplitudes_and_shares_them_between_the_nearest_cells():
+    path = ul.Trajectory.stationary()
+    rows = np.zeros((1, SPEC.bins), np.float32)
+    near, far = 30, 60
+    rows[0, near], rows[0, far] = 0.5, 0.25
+    frames = ul.Frames(rows, SPEC.range_m, path.t_ns, SPEC, path, unit="thesis")
+    grid = ul.Grid((0.0, -0.30, 0.0), 0.1, (6, 40))  # the boresight, y = 0, is the border of rows 2 and 3
+    values = ul.focus(frames, grid, method="summation").values
+    one, two = (values[:, int(SPEC.range_m[k] / 0.1) - 2 : int(SPEC.range_m[k] / 0.1) + 3].sum() for k in (near, far))
+    assert one / two == pytest.approx(2, rel=0.15)  # 4 of powers; bins are sampled twice a cell, so not exactly 2
+    assert values[2] == pytest.approx(values[3])
+    assert values[2].sum() + values[3].sum() == pytest.approx(values.sum())

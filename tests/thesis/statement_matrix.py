@@ -1,7 +1,4 @@
-"""All sections, and the page that lists which error breaks which statement.
-
-`python tests/thesis/statement_matrix.py` writes docs/statement_mutants.md from docs/reproduce.md and the sections.
-"""
+"""All sections; `python tests/thesis/statement_matrix.py` prints which error breaks which statement."""
 
 from __future__ import annotations
 
@@ -24,11 +21,11 @@ method, the world or the flight, and checks that the statement no longer holds. 
 afterwards. Some experiments use part of a flight, and fewer speeds or seeds, to save time. For CPU and memory, the test
 spoils the measured values.
 
-`pytest tests/thesis/test_statement_mutants.py` runs them all. `python tests/thesis/statement_matrix.py`
-writes this page. Two sets of bounds have no error of their own here. `cluttered-room-physical-again` differs from
-`cluttered-room-physical` only in the seed of its noise. World, flight and bounds are equal, so an error for the one is
-an error for the other, and the test saves the second flight. The F1 of `cargo-hold-physical` is that of the whole hold.
-The test flies the first 2.5 m only, where a bound for the whole flight cannot hold.
+`pytest tests/thesis/test_statement_mutants.py` runs them all. Two sets of bounds have no error of their own here.
+`cluttered-room-physical-again` differs from `cluttered-room-physical` only in the seed of its noise. World, flight
+and bounds are equal, so an error for the one is an error for the other, and the test saves the second flight. The F1
+of `cargo-hold-physical` is that of the whole hold. The test flies the first 2.5 m only, where a bound for the whole
+flight cannot hold.
 """
 
 
@@ -78,4 +75,4 @@ def states(name: str, text: str) -> bool:
 
 
 if __name__ == "__main__":
-    (DOCS / "statement_mutants.md").write_text(page())
+    print(page())

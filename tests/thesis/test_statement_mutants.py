@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from spoilt import RECORDINGS, Fleet, Section, quiet_workspace
-from statement_matrix import BASELINE, DOCS, SECTIONS, bounds, breaking, page, statements, states
+from statement_matrix import BASELINE, DOCS, SECTIONS, bounds, breaking, statements, states
 
 Patch = pytest.MonkeyPatch
 
@@ -61,7 +61,3 @@ def test_every_statement_of_the_page_has_a_mutant():
     assert len(stated_there) > 120
     assert not [text for name, text, where in stated_there if not breaking(name, f"{text} ({where})")]
     assert not [text for name, text in bounds() if states(name, text) and not breaking("expect", text)]
-
-
-def test_the_page_of_mutants_is_that_of_the_sections():
-    assert (DOCS / "statement_mutants.md").read_text() == page()
