@@ -25,7 +25,7 @@ help:
 	@echo "make bench  ratios of speed and memory, measured side by side"
 
 demo: $(VENV)/.run
-	$(BIN)/ullage run cargo-hold --law physical --compare thesis --force --open
+	@$(BIN)/ullage run cargo-hold --law physical --compare thesis --force --open
 
 thesis: $(VENV)/.run
 	$(BIN)/ullage run cargo-hold --force
@@ -104,14 +104,14 @@ $(VENV)/.venv:
 	@touch $@
 
 $(VENV)/.run: $(VENV)/.venv requirements.lock pyproject.toml
-	@echo "Installing what ullage needs (about 120 MB, once)"
-	@$(PIP) install --progress-bar on --require-hashes -r requirements.lock
+	@echo "Installing what ullage needs (about 120 MB, once; a minute)"
+	@$(PIP) install --quiet --require-hashes -r requirements.lock
 	@$(PIP) install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.run requirements-dev.lock
-	@echo "Installing what the tests need"
-	@$(PIP) install --progress-bar on --require-hashes -r requirements-dev.lock
+	@echo "Installing what the tests need (once; a minute)"
+	@$(PIP) install --quiet --require-hashes -r requirements-dev.lock
 	@touch $@
 
 # Real ROS 2 beside the environment, never in it: libraries of the first are seen from the second.

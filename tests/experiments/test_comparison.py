@@ -13,7 +13,7 @@ import ullage as ul
 from ullage.cli import main
 from ullage.data import Metric
 from ullage.experiments.comparison import rival_scenario
-from ullage.experiments.inspection import found_line, inspect
+from ullage.experiments.inspection import found_line, inspect, place_of
 
 SHORT = ["flight.waypoints=[[-1.5, -1, 1], [-1, -1, 1]]", "flight.vehicle=ideal", "map.step_m=0.2"]
 
@@ -63,4 +63,11 @@ def test_an_object_without_an_occupied_cell_is_missed() -> None:
     line = found_line(
         [replace(one, state="missed") if one.name == "plate" else one for one in whole], {"f1": Metric("f1", 0.5)}
     )
-    assert line == f"found: F1 0.500, {len(whole) - 1} of {len(whole)} objects in sight; missed: plate"
+    assert line == (
+        f"found: F1 0.500, {len(whole) - 1} of {len(whole)} objects in sight mapped; partly: none; missed: plate"
+    )
+    corner = (abs(x - 2.9) < 0.3) & (abs(y - 1.9) < 0.3)  # a few cells of walls that are in sight as a whole
+    piece = inspect(ul.OccupancyMap(grid, np.where(walls & corner, 100, 0).astype(np.int8)), scene, frames)
+    assert "mapped" not in {one.state for one in piece}
+    assert "partly mapped" in {one.state for one in piece}
+    assert place_of(ul.OccupancyMap(grid, percent), scene, frames) == "In the plane 1.5 m above floor"

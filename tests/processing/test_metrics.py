@@ -263,3 +263,16 @@ def test_size_and_cost_are_measured():
 
     cost = ul.metrics.map_cost(Mapper(GRID, method="elfes"), {k: f[:3] for k, f in flight().items()})
     assert cost["cpu_p99"].value >= cost["cpu_median"].value >= 0
+
+
+def test_the_worst_moment_is_that_of_the_worst_map_and_not_of_the_last():
+    false, free = perfect(), perfect()
+    false[20:23, 20:24] = 99  # twelve cells in the middle of the room
+    free[free == 99] = 1
+    maps = [(float(at), OccupancyMap(GRID, percent)) for at, percent in enumerate((perfect(), false, free, perfect()))]
+    got = {name: m.value for name, m in ul.metrics.worst_moment(maps, ROOM, flight()).items()}
+    assert got["worst_false_occupied"] == 12
+    assert got["worst_false_occupied_at"] == 1.0
+    assert got["worst_surface_declared_free"] > 0.9
+    assert got["worst_surface_declared_free_at"] == 2.0
+    assert ul.metrics.worst_moment([], ROOM, flight()) == {}

@@ -35,6 +35,8 @@ CHROMIUM = next((found for name in ("chromium", "google-chrome") if (found := sh
 METRICS = {
     "f1": 0.84, "precision": 0.87, "recall": 0.81, "accuracy_p90": 0.2, "surface_declared_free": 0.0, "frames": 4.0,
     "found:plate": 0.0, "real_time_factor": 2.0,
+    "recall_in_view": 0.6, "surface_specular_invisible": 0.3, "false_occupied": 3.0, "worst_false_occupied": 40.0,
+    "worst_false_occupied_at": 12.0,
 }  # fmt: skip
 
 
@@ -52,7 +54,9 @@ def run_folder(parts: Parts, tmp_path: Path) -> Path:
         {"name": "north", "state": "mapped", "mapped": 0.9, "observable": 0.8},
     ]
     rival = {"name": "the method of 2018", "scenario": "old", "metrics": {"f1": {"value": 0.4, "unit": ""}}}
-    (tmp_path / "findings.json").write_text(json.dumps({"objects": objects, "compared": rival}))
+    (tmp_path / "findings.json").write_text(
+        json.dumps({"objects": objects, "compared": rival, "place": "In the plane 1.0 m above floor"})
+    )
     write_replay(tmp_path, parts)
     return tmp_path
 
@@ -61,8 +65,11 @@ def test_the_page_says_first_what_was_mapped_and_what_was_missed(run_folder: Pat
     page = write_report(run_folder).read_text(encoding="utf-8")
     verdict = page[page.index('class="verdict"') : page.index("<h2>")]
     assert '<p class="bad">Missed: plate.</p>' in verdict
+    assert "In the plane 1.0 m above floor, the map shows 60 % of all surface in range and in sight" in verdict
     assert "81 % of the surface that the radars could observe" in verdict
-    assert "1 of the 2 objects in sight are on the map" in verdict
+    assert "1 of the 2 objects in sight are mapped" in verdict
+    assert "30 % was in a beam but never faced a radar" in verdict
+    assert "At worst, 12 s into the flight, 40 occupied cells lay on no surface; at its end 3 do." in verdict
     assert "The method of 2018 on the same flight reaches F1 0.400." in verdict
     assert "A room &lt;with&gt; a plate" in page
 

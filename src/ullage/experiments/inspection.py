@@ -13,11 +13,12 @@ from ullage.data import Frames, Metric
 from ullage.grids import OccupancyMap
 from ullage.processing.metrics import MATCH_M, cell_centres
 from ullage.processing.truth import surface_of
+from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
 State = Literal["mapped", "partly mapped", "missed", "not observable"]
 MAPPED_FROM = 0.5
-"""Share of an object's observable surface from which it counts as mapped."""
+"""Share of an object's surface in sight from which it counts as mapped."""
 OBSERVED_FROM = 3
 """Keyframes that make a point of a surface observable, as in `map_quality`."""
 
@@ -28,7 +29,7 @@ class ObjectOnMap:
 
     name: str
     state: State
-    mapped: float  # share of its observable surface within 0.15 m of an occupied cell; of that in sight if none is
+    mapped: float  # share of its surface in sight that lies within 0.15 m of an occupied cell
     observable: float  # share of its surface in sight that the radars could observe
 
 
@@ -57,10 +58,24 @@ def inspect(omap: OccupancyMap, scene: Scene, frames: Mapping[str, Frames]) -> l
         seen = (surface.object_id == index) & surface.in_view
         if not seen.any():
             continue
-        able = seen & observable
-        share = float(near[able if able.any() else seen].mean())
-        out.append(ObjectOnMap(thing.name, _state(share, bool(able.any())), share, float(able.sum() / seen.sum())))
+        able, share = float(observable[seen].mean()), float(near[seen].mean())
+        out.append(ObjectOnMap(thing.name, _state(share, bool(able)), share, able))
     return out
+
+
+def place_of(omap: OccupancyMap, scene: Scene, frames: Mapping[str, Frames]) -> str:
+    """Name the plane of a map by its height over what lies below the middle of the flight; or the volume."""
+    grid = omap.grid
+    if grid.dims == 3:
+        return f"In the volume from z = {grid.z_m[0]:.1f} m to {grid.z_m[-1]:.1f} m"
+    positions = np.concatenate([part.believed.position for part in frames.values()])
+    height = float(positions[:, 2].mean())
+    middle = positions[np.argmin(np.linalg.norm(positions[:, :2] - np.median(positions[:, :2], axis=0), axis=1))]
+    face, distance = Raycaster(scene).hits(np.array([*middle[:2], height]), np.array([[0.0, 0.0, -1.0]]))
+    if face[0] < 0:
+        return f"In the plane z = {height:.1f} m"
+    below = scene.objects[scene.face_object[face[0]]].name.replace("_", " ")
+    return f"In the plane {distance[0]:.1f} m above {below}"
 
 
 def _state(share: float, observable: bool) -> State:
@@ -71,10 +86,11 @@ def _state(share: float, observable: bool) -> State:
 
 def found_line(objects: Sequence[ObjectOnMap], metrics: Mapping[str, Metric]) -> str:
     """Say in one line how good the map is and which objects it misses."""
-    missed = [one.name for one in objects if one.state == "missed"]
-    shown = sum(one.state in ("mapped", "partly mapped") for one in objects)
+    named = {state: [one.name for one in objects if one.state == state] for state in ("partly mapped", "missed")}
+    shown = sum(one.state == "mapped" for one in objects)
     score = f"F1 {metrics['f1'].value:.3f}, " if "f1" in metrics else ""
-    return f"found: {score}{shown} of {len(objects)} objects in sight; missed: {', '.join(missed) or 'none'}"
+    rest = "; ".join(f"{state.split()[0]}: {', '.join(names) or 'none'}" for state, names in named.items())
+    return f"found: {score}{shown} of {len(objects)} objects in sight mapped; {rest}"
 
 
 def object_rows(objects: Sequence[ObjectOnMap]) -> list[dict[str, Any]]:

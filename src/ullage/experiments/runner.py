@@ -18,7 +18,7 @@ from ullage.errors import InputError, UllageError
 from ullage.experiments.draft import running
 from ullage.experiments.folder import metric_tree, provenance, write_json, write_text
 from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
-from ullage.experiments.inspection import inspect, object_rows
+from ullage.experiments.inspection import inspect, object_rows, place_of
 from ullage.experiments.map_files import MapSaver, write_map_files
 from ullage.experiments.obstacle_table import ObstacleTable
 from ullage.experiments.replay_parts import keep_replay
@@ -148,7 +148,7 @@ def _findings(job: Run, compared: Compared | None) -> dict[str, Any]:
     other = {} if compared is None else {
         "compared": {"name": compared.name, "scenario": compared.scenario, "metrics": metric_tree(compared.metrics)}
     }  # fmt: skip
-    return {"objects": object_rows(job.objects), **other}
+    return {"objects": object_rows(job.objects), "place": job.map_place, **other}
 
 
 def _keep_what_came(job: Run, origin: Mapping[str, object], error: BaseException) -> None:
@@ -284,15 +284,23 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
         job.findings = [*job.findings, *job.obstacles.lines()]
         out |= {one.name: one for one in job.obstacles.metrics()}
     if job.scene is not None and maps:
-        from ullage.processing.metrics import map_quality
+        from ullage.processing.metrics import map_quality, worst_moment
         from ullage.processing.truth import NoSurfaceError
 
         try:
             out |= map_quality(maps[-1], job.scene, job.sampled.frames())
+            out |= worst_moment(_over_flight(job, maps[-1].grid), job.scene, job.sampled.frames())
             job.objects = inspect(maps[-1], job.scene, job.sampled.frames())
+            job.map_place = place_of(maps[-1], job.scene, job.sampled.frames())
         except NoSurfaceError as error:  # a flight above all walls is a flight all the same
             job.findings = [*job.findings, f"The map has no scores: {error}."]
     return out
+
+
+def _over_flight(job: Run, grid: Grid) -> list[tuple[float, OccupancyMap]]:
+    """Return the kept maps on a grid with the time since the first frame [s]."""
+    start = min(int(part.t_ns[0]) for part in job.sampled.frames().values()) * 1e-9
+    return [(at - start, omap) for at, omap in job.history.maps() if omap.grid.shape == grid.shape]
 
 
 def _calibrated(job: Run) -> Frames | None:

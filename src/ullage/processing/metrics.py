@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ from ullage.processing.metrics_image import image_quality
 from ullage.processing.truth import BORDER, Surface, in_sight, surface_of
 from ullage.world.scene import Scene
 
-__all__ = ["cell_centres", "hover_change", "image_quality", "map_cost", "map_quality", "map_size"]
+__all__ = ["cell_centres", "hover_change", "image_quality", "map_cost", "map_quality", "map_size", "worst_moment"]
 
 MATCH_M = 0.15
 BEHIND_M = 0.3
@@ -161,8 +162,7 @@ def _distances(judged: _Scored) -> list[Metric]:
 def _shares(judged: _Scored) -> list[Metric]:
     seen = judged.surface.seen
     free, known = judged.omap.free.ravel()[judged.cells], _known(judged.omap).ravel()[judged.cells]
-    sides = _sides(judged)
-    declared = np.all([judged.omap.free.ravel()[side] for side in sides], axis=0)
+    declared = _declared_free(judged.omap, judged.surface)
     behind = known & ~judged.cell_open & (judged.cell_gap > BEHIND_M)
     clear = judged.cell_open & (judged.cell_gap > judged.omap.grid.step_m)
     return [
@@ -192,11 +192,16 @@ def _flyable(judged: _Scored) -> list[Metric]:
     ]
 
 
-def _sides(judged: _Scored) -> list[Longs]:
+def _declared_free(omap: OccupancyMap, surface: Surface) -> Bools:
+    """Mark the surface points (s) whose cells are all free."""
+    return np.all([omap.free.ravel()[side] for side in _sides(omap.grid, surface)], axis=0)
+
+
+def _sides(grid: Grid, surface: Surface) -> list[Longs]:
     """Flat index of the cells a hair before and behind each surface point: two where it lies on a cell's border."""
-    grid, out = judged.omap.grid, []
+    out = []
     for side in (-0.1, 0.1):
-        cell, _ = grid.index(judged.surface.points + side * grid.step_m * judged.surface.normals)
+        cell, _ = grid.index(surface.points + side * grid.step_m * surface.normals)
         cell = np.clip(cell, 0, np.asarray(grid.shape) - 1)
         out.append(np.ravel_multi_index(tuple(cell.T), grid.shape))
     return out
@@ -234,7 +239,7 @@ def _corridor(judged: _Scored) -> list[Metric]:
 
 def _calibration(judged: _Scored) -> list[Metric]:
     flat = judged.omap.percent.ravel()
-    percent, (before, behind) = flat[judged.cells], _sides(judged)
+    percent, (before, behind) = flat[judged.cells], _sides(judged.omap.grid, judged.surface)
     solid = np.zeros(flat.shape, bool)
     solid[np.where(flat[before] >= flat[behind], before, behind)[judged.surface.seen]] = True
     label = solid[judged.cells]
@@ -263,6 +268,39 @@ def _small_objects(judged: _Scored, scene: Scene, within: float) -> list[Metric]
             continue
         out.append(Metric(f"found:{thing.name}", float(judged.surface_gap[mine].min() <= within)))
     return out
+
+
+def worst_moment(maps: Sequence[tuple[float, OccupancyMap]], scene: Scene, frames: Recording) -> dict[str, Metric]:
+    """Find the worst of the maps that a flight saw: a pilot flies by the map of now, not by the last one.
+
+    Args:
+        maps: each with its time [s], all on one grid.
+        scene: the true world.
+        frames: the input of the maps.
+
+    Returns:
+        `worst_false_occupied`, the most occupied cells farther than 0.15 m from every true surface;
+        `worst_surface_declared_free`, the largest share of the surface in sight of the whole flight that was marked as
+        free; each with the time of its map, `_at` [s]. Empty without maps.
+
+    Raises:
+        InputError: nothing of the scene lies on the grid.
+    """
+    if not maps:
+        return {}
+    grid = maps[0][1].grid
+    surface = surface_of(scene, grid, frames)
+    tree = cKDTree(np.concatenate([surface.points, surface.corners])[:, : grid.dims])
+    found = []
+    for at, omap in maps:
+        cells = cell_centres(grid, np.flatnonzero(omap.occupied))[:, : grid.dims]
+        false = int((tree.query(cells)[0] > MATCH_M).sum()) if len(cells) else 0
+        found.append((float(at), float(false), _share(_declared_free(omap, surface)[surface.seen])))
+    out = []
+    for name, unit, k in (("worst_false_occupied", "cells", 1), ("worst_surface_declared_free", "", 2)):
+        worst = max(found, key=lambda one, k=k: one[k])  # type: ignore[misc]
+        out += [Metric(name, worst[k], unit), Metric(f"{name}_at", worst[0], "s")]
+    return {one.name: one for one in out}
 
 
 def hover_change(before: OccupancyMap, after: OccupancyMap, scene: Scene, frames: Recording) -> dict[str, Metric]:

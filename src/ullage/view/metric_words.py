@@ -15,6 +15,8 @@ GROUPS: dict[str, dict[str, str]] = {
         "completeness": "Distance from observable surface to the nearest occupied cell.",
         "false_occupied": "Occupied cells farther than 0.15 m from every true surface.",
         "false_occupied_per_100m2": "The same for each 100 square metres in sight.",
+        "worst_false_occupied": "The most such cells in any map of the flight.",
+        "worst_false_occupied_at": "Time of that map since the first frame.",
         "f1_half_cell": "F1 where only surface inside an occupied cell, or on its border, counts as mapped.",
         "precision_half_cell": "Precision by the same rule.",
         "recall_half_cell": "Recall by the same rule.",
@@ -22,6 +24,8 @@ GROUPS: dict[str, dict[str, str]] = {
     "Safe to fly": {
         "surface_declared_free": "Share of the surface in beam, in range and in sight that the map marks as free.",
         "surface_missed_and_free": "Share of that surface that is marked as free and has no occupied cell near.",
+        "worst_surface_declared_free": "The largest share of it that any map of the flight marked as free.",
+        "worst_surface_declared_free_at": "Time of that map since the first frame.",
         "flyable_found": "Share of truly flyable cells in sight that the map marks as flyable. A cell is flyable if a "
         "ball of 0.3 m radius about it is free.",
         "flyable_false": "Share of the cells marked as flyable that are not flyable.",

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.text import Text
 
 console = Console(stderr=False, soft_wrap=True)
-PLAIN_EVERY_S = 5.0
+PLAIN_EVERY_S = 20.0
 
 
 def log(text: str, *, mark: str = "", style: str = "") -> None:

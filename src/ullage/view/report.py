@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -76,12 +76,13 @@ def write_report(folder: Path, *, origin: Mapping[str, object] | None = None) ->
 
 def verdict_lines(folder: Path, findings: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[dict[str, str]]:
     """Describe in sentences what was mapped and missed, with bad results marked."""
-    out = _mapped(findings.get("objects", []), metrics)
+    out = _mapped(findings, metrics) + _unseen(metrics)
     if (declared := _value(metrics, "surface_declared_free")) is not None:
         unsafe = declared > UNSAFE
         share = f"{_percent(declared)} of the surface" if declared else "no surface"
         text = f"The map marks {share} in sight of the radars as free."
         out.append(_line(text + (" Do not fly by this map." if unsafe else ""), "bad" if unsafe else ""))
+    out += _worst(metrics)
     if (compared := findings.get("compared")) and (score := _value(compared["metrics"], "f1")) is not None:
         name = compared["name"][:1].upper() + compared["name"][1:]
         out.append(_line(f"{name} on the same flight reaches F1 {score:.3f}."))
@@ -89,22 +90,51 @@ def verdict_lines(folder: Path, findings: Mapping[str, Any], metrics: Mapping[st
     return [*out, *map(_line, said)]
 
 
-def _mapped(objects: Sequence[Mapping[str, Any]], metrics: Mapping[str, Any]) -> list[dict[str, str]]:
+def _mapped(findings: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[dict[str, str]]:
     """Describe the shares of surface and objects on the map."""
-    out = []
-    recall, precision, f1 = (_value(metrics, name) for name in ("recall", "precision", "f1"))
+    out, objects = [], findings.get("objects", [])
+    names = ("recall", "recall_in_view", "precision", "f1")
+    recall, in_view, precision, f1 = (_value(metrics, name) for name in names)
     if recall is not None and precision is not None and f1 is not None:
+        of_all = "" if in_view is None else f"{_percent(in_view)} of all surface in range and in sight, and "
+        place = findings.get("place") or "In its grid"
         out.append(_line(
-            f"The map shows {_percent(recall)} of the surface that the radars could observe. "
+            f"{place}, the map shows {of_all}{_percent(recall)} of the surface that the radars could observe. "
             f"{_percent(precision)} of its occupied cells lie on a true surface (F1 {f1:.3f})."
         ))  # fmt: skip
-    shown = [one["name"] for one in objects if one["state"] in ("mapped", "partly mapped")]
     if objects:
-        kind = "good" if 2 * len(shown) >= len(objects) else ""
-        out.append(_line(f"{len(shown)} of the {len(objects)} objects in sight are on the map.", kind))
-    if missed := [one["name"] for one in objects if one["state"] == "missed"]:
-        out.append(_line(f"Missed: {', '.join(missed)}.", "bad"))
+        count = sum(one["state"] == "mapped" for one in objects)
+        kind = "good" if 2 * count >= len(objects) else ""
+        out.append(_line(f"{count} of the {len(objects)} objects in sight are mapped, at least half of each.", kind))
+    for state, words, kind in (("partly mapped", "Mapped in part", ""), ("missed", "Missed", "bad")):
+        if named := [one["name"] for one in objects if one["state"] == state]:
+            out.append(_line(f"{words}: {', '.join(named)}.", kind))
     return out
+
+
+def _unseen(metrics: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Say which surface no radar could observe, and why."""
+    why = {
+        "surface_specular_invisible": "was in a beam but never faced a radar, so its echo went elsewhere",
+        "surface_hidden": "was hidden, out of range or outside every beam",
+    }
+    shares = {name: _value(metrics, name) for name in why}
+    parts = [f"{_percent(share)} {why[name]}" for name, share in shares.items() if share]
+    return [_line(f"Of the surface on the grid, {'; '.join(parts)}.")] if parts else []
+
+
+def _worst(metrics: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Describe the worst moments of the flight."""
+    out = []
+    false, at = (_value(metrics, f"worst_false_occupied{part}") for part in ("", "_at"))
+    if false and at is not None:
+        now = _value(metrics, "false_occupied") or 0
+        out.append(f"At worst, {at:.0f} s into the flight, {false:.0f} occupied cells lay on no surface; "
+                   f"at its end {now:.0f} do.")  # fmt: skip
+    free, at = (_value(metrics, f"worst_surface_declared_free{part}") for part in ("", "_at"))
+    if free and at is not None:
+        out.append(f"At worst, {at:.0f} s into the flight, {_percent(free)} of the surface was marked as free.")
+    return [_line(text, "bad" if "marked" in text and (free or 0) > UNSAFE else "") for text in out]
 
 
 def _line(text: str, kind: str = "") -> dict[str, str]:
