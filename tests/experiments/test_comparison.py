@@ -52,13 +52,15 @@ def test_an_object_without_an_occupied_cell_is_missed() -> None:
     x, y = np.meshgrid(grid.x_m, grid.y_m)
     walls = (abs(abs(x) - 3) < 0.11) & (abs(y) < 2.1) | (abs(abs(y) - 2) < 0.11) & (abs(x) < 3.1)
     percent = np.where(walls, 100, 0).astype(np.int8)
-    found = {one.name: one.state for one in inspect(ul.OccupancyMap(grid, percent), scene, frames)}
+    found = {one.name: one.state for one in inspect(ul.OccupancyMap(grid, percent), scene, frames)[0]}
     assert found.pop("plate") == "missed"
     assert set(found.values()) == {"mapped"}
     plate = (abs(x - 2) < 0.1) & (abs(y) < 0.3)
-    whole = inspect(ul.OccupancyMap(grid, np.where(walls | plate, 100, 0).astype(np.int8)), scene, frames)
+    whole, left = inspect(ul.OccupancyMap(grid, np.where(walls | plate, 100, 0).astype(np.int8)), scene, frames)
+    assert not len(left)
     assert {one.state for one in whole} == {"mapped"}
-    nothing = inspect(ul.OccupancyMap(grid, np.zeros_like(percent)), scene, frames)
+    nothing, left = inspect(ul.OccupancyMap(grid, np.zeros_like(percent)), scene, frames)
+    assert len(left) > 100
     assert {one.state for one in nothing} <= {"missed", "not observable"}
     line = found_line(
         [replace(one, state="missed") if one.name == "plate" else one for one in whole], {"f1": Metric("f1", 0.5)}
@@ -67,7 +69,7 @@ def test_an_object_without_an_occupied_cell_is_missed() -> None:
         f"found: F1 0.500, {len(whole) - 1} of {len(whole)} objects in sight mapped; partly: none; missed: plate"
     )
     corner = (abs(x - 2.9) < 0.3) & (abs(y - 1.9) < 0.3)  # a few cells of walls that are in sight as a whole
-    piece = inspect(ul.OccupancyMap(grid, np.where(walls & corner, 100, 0).astype(np.int8)), scene, frames)
+    piece, _ = inspect(ul.OccupancyMap(grid, np.where(walls & corner, 100, 0).astype(np.int8)), scene, frames)
     assert "mapped" not in {one.state for one in piece}
     assert "partly mapped" in {one.state for one in piece}
     assert place_of(ul.OccupancyMap(grid, percent), scene, frames) == "In the plane 1.5 m above floor"

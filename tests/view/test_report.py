@@ -90,8 +90,8 @@ def test_metrics_are_grouped_defined_and_bounded(run_folder: Path) -> None:
     page = write_report(run_folder).read_text(encoding="utf-8")
     order = [page.index(f"<h3>{title}</h3>") for title in ("The map against the truth", "Safe to fly", "Radar and run")]
     assert order == sorted(order)
-    assert '<td class="n bad">0.9 .. </td>' in page  # F1 0.84 is out of bounds
-    assert '<td class="n good">0.5 .. </td>' in page
+    assert '<td class="n bad" data-label="bounds">0.9 .. </td>' in page  # F1 0.84 is out of bounds
+    assert '<td class="n good" data-label="bounds">0.5 .. </td>' in page
     assert "Harmonic mean of precision and recall." in page
 
 
@@ -202,7 +202,13 @@ def test_in_chromium_the_replay_is_drawn_the_slider_moves_the_drone_and_an_echo_
     assert differing(stage.screenshot(), at_start) > 0.002
     page.uncheck("#layers label:has-text('echoes') input")
     page.click("#view", position={"x": 500, "y": 300})  # the middle of the picture: some object of the room
-    assert re.match(r"\S+ at \(-?\d+\.\d\d, .*\) m: (missed|not in sight)", page.inner_text("#explanation"))
+    assert re.match(r"[\w ]+ at \(-?\d+\.\d\d, .*\) m: (missed|not in sight)", page.inner_text("#explanation"))
+    assert page.locator(".mark:visible").count() >= 3  # a length, heights and north
+    assert "occupied" in page.inner_text("#legend")
+    seen = stage.screenshot()
+    page.locator("tr[data-object='plate']").click()
+    assert page.inner_text("#explanation") == "plate: missed."
+    assert differing(stage.screenshot(), seen) > 0.05  # the camera flew there
     page.click("#theme")
     assert wrong == []
     page.close()
@@ -215,6 +221,24 @@ def test_on_a_phone_the_page_does_not_scroll_sideways_and_the_picture_fits(run_f
     page.wait_for_selector("body[data-ready]", state="attached")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert page.locator("#stage").bounding_box()["height"] < 350
+    assert page.evaluate("document.documentElement.scrollHeight") < 9000
+    page.close()
+
+
+@pytest.mark.slow
+def test_without_webgl_the_page_shows_the_map_and_the_reason(run_folder: Path, browser: Any) -> None:
+    (run_folder / "figures").mkdir(exist_ok=True)
+    ul.figures.map_figure(run_folder / "figures" / "map.png", ul.OccupancyMap(
+        ul.Grid((0, 0, 0), 0.5, (4, 4)), np.zeros((4, 4), np.int8)), title="map")  # fmt: skip
+    page = browser.new_page(viewport={"width": 1000, "height": 700})
+    page.add_init_script("HTMLCanvasElement.prototype.getContext = ((real) => function (kind, ...rest) {"
+                         " return kind.startsWith('webgl') ? null : real.call(this, kind, ...rest); })"
+                         "(HTMLCanvasElement.prototype.getContext)")  # fmt: skip
+    page.goto(write_report(run_folder).as_uri())
+    page.wait_for_selector("body[data-ready]", state="attached")
+    assert "no WebGL" in page.inner_text("#stage")
+    assert page.locator("#stage img").is_visible()
+    assert page.locator("#profiles canvas").first.is_visible()
     page.close()
 
 

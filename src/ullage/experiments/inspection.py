@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ullage.arrays import Floats
 from ullage.data import Frames, Metric
 from ullage.grids import OccupancyMap
 from ullage.processing.metrics import MATCH_M, cell_centres
@@ -33,7 +34,7 @@ class ObjectOnMap:
     observable: float  # share of its surface in sight that the radars could observe
 
 
-def inspect(omap: OccupancyMap, scene: Scene, frames: Mapping[str, Frames]) -> list[ObjectOnMap]:
+def inspect(omap: OccupancyMap, scene: Scene, frames: Mapping[str, Frames]) -> tuple[list[ObjectOnMap], Floats]:
     """Compare a map with the objects of the scene, as `map_quality` does with the whole scene.
 
     Args:
@@ -42,7 +43,8 @@ def inspect(omap: OccupancyMap, scene: Scene, frames: Mapping[str, Frames]) -> l
         frames: the input of the map; their true poses give the surfaces in sight.
 
     Returns:
-        Each object with surface on the grid and in sight of the flight, in the scene's order.
+        Each object with surface on the grid and in sight of the flight, in the scene's order; and the points (k, 3) of
+        surface in sight that are not on the map [m].
 
     Raises:
         InputError: nothing of the scene lies on the grid.
@@ -60,7 +62,7 @@ def inspect(omap: OccupancyMap, scene: Scene, frames: Mapping[str, Frames]) -> l
             continue
         able, share = float(observable[seen].mean()), float(near[seen].mean())
         out.append(ObjectOnMap(thing.name, _state(share, bool(able)), share, able))
-    return out
+    return out, surface.points[surface.in_view & ~near]
 
 
 def place_of(omap: OccupancyMap, scene: Scene, frames: Mapping[str, Frames]) -> str:

@@ -29,7 +29,7 @@ def keep_replay(job: Run, outcome: Outcome) -> None:
     states = {one.name: one.state for one in job.objects}
     explained = [] if outcome.interrupted else explained_frames(job)  # a user who ends a run does not want to wait
     parts = Parts(job.title, frames, job.scene, job.history.maps(), images[-1] if images else None, explained,
-                  states)  # fmt: skip
+                  states, job.unmapped)  # fmt: skip
     write_replay(job.folder, parts)
 
 

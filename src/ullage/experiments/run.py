@@ -60,6 +60,7 @@ class Run:
     map: MapStage | None = None
     obstacles: ObstacleTable | None = None
     findings: list[str] = field(default_factory=list)  # sentences of the report
+    unmapped: Floats | None = None  # (k, 3) surface in sight that is not on the map [m]
     map_place: str = ""  # the plane or volume of the map, in words that begin a sentence
     timing: dict[str, float] = field(default_factory=dict)
     draft: Draft | None = None  # that folder, if it is one to be swapped in

@@ -290,7 +290,7 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
         try:
             out |= map_quality(maps[-1], job.scene, job.sampled.frames())
             out |= worst_moment(_over_flight(job, maps[-1].grid), job.scene, job.sampled.frames())
-            job.objects = inspect(maps[-1], job.scene, job.sampled.frames())
+            job.objects, job.unmapped = inspect(maps[-1], job.scene, job.sampled.frames())
             job.map_place = place_of(maps[-1], job.scene, job.sampled.frames())
         except NoSurfaceError as error:  # a flight above all walls is a flight all the same
             job.findings = [*job.findings, f"The map has no scores: {error}."]

@@ -32,6 +32,8 @@ from ullage.world.scene import Scene
 FILE = "replay.json.gz"
 MOST_FACES = 300_000
 """Largest number of drawn triangles; a larger world is left out."""
+MOST_POINTS = 3000
+"""Largest number of points of surface that is not on the map."""
 SPAN_DB = 60.0
 """Dynamic range of profiles below their highest level [dB]."""
 IMAGE_DB = 30.0
@@ -93,6 +95,7 @@ class Parts:
     image: Image | None = None
     explained: Sequence[Explained] = ()
     states: Mapping[str, str] = field(default_factory=dict)  # what the map shows of each object
+    unmapped: Floats | None = None  # (k, 3) points of surface in sight that are not on the map [m]
 
 
 def replay(parts: Parts) -> dict[str, Any]:
@@ -116,8 +119,14 @@ def replay(parts: Parts) -> dict[str, Any]:
         "radars": [_radar(k, part, start_ns) for k, part in enumerate(placed.values())],
         "map": map_tree(parts.maps, start_ns, height) if parts.maps else None,
         "image": None if parts.image is None else _image(parts.image, height),
+        "unmapped": None if parts.unmapped is None else packed(_thinned(parts.unmapped), "f4"),
         "explained": [_explained(one, list(placed), start_ns) for one in parts.explained if one.sensor in placed],
     }
+
+
+def _thinned(points: Floats) -> Floats:
+    """Return at most `MOST_POINTS` of the points, evenly."""
+    return points[:: max(1, -(-len(points) // MOST_POINTS))]
 
 
 def _bounds(parts: Parts, body: Trajectory) -> Floats:

@@ -107,7 +107,7 @@ def _mapped(findings: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[dic
         kind = "good" if 2 * count >= len(objects) else ""
         out.append(_line(f"{count} of the {len(objects)} objects in sight are mapped, at least half of each.", kind))
     for state, words, kind in (("partly mapped", "Mapped in part", ""), ("missed", "Missed", "bad")):
-        if named := [one["name"] for one in objects if one["state"] == state]:
+        if named := [one["name"].replace("_", " ") for one in objects if one["state"] == state]:
             out.append(_line(f"{words}: {', '.join(named)}.", kind))
     return out
 

@@ -6,6 +6,9 @@
   const KINDS = { f4: Float32Array, u4: Uint32Array, u1: Uint8Array };
   const STATE_COLORS = { "missed": "#e53935", "partly mapped": "#f2a93b" };
   const CELL_COLORS = { 1: [64, 190, 120, 75], 3: [242, 193, 78, 90] }; // free, ambiguous
+  const LEGEND = [["occupied", "#f7b500"], ["free", "#40be78"], ["ambiguous", "#f2c14e"], ["surface not on the map", "#e53935"],
+    ["object mapped in part", "#f2a93b"], ["flown path", "#ff2e63"]];
+  const readable = (name) => name.replaceAll("_", " ");
   const MOST_EDGES = 60000; // triangles of an object whose edges are drawn
   // shares of the world's diagonal: drone, columns on occupied cells, beams, echoes, path, wires, wires that are missed
   const SHARES = { drone: 0.04, column: 0.02, beam: 0.1, echo: 0.0035, path: 0.0012, wire: 0.0009, missed: 0.0024 };
@@ -33,7 +36,13 @@
   try {
     renderer = new THREE.WebGLRenderer({ canvas: $("view"), antialias: true, alpha: true, preserveDrawingBuffer: true });
   } catch (error) {
-    $("stage").hidden = true; // without WebGL the profiles are still there
+    showWithoutWebGL(); // the profiles are still there
+  }
+  function showWithoutWebGL() { // the figure of the map in place of the scene, and the reason
+    const map = document.querySelector(".figures img"), note = document.createElement("p");
+    note.className = "note";
+    note.textContent = "This browser offers no WebGL, so the world is not drawn in 3D. Profiles and figures do not need it.";
+    $("stage").replaceChildren(note, ...(map ? [map.cloneNode()] : []));
   }
   const scene = new THREE.Scene();
   const camera = new THREE.PerspectiveCamera(40, 1, 0.05, 2000);
@@ -56,6 +65,46 @@
     mesh.position.copy(from).addScaledVector(along, 0.5);
     mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), along.normalize());
     return mesh;
+  }
+
+  const labels = []; // of the scale and of north: an element of the page, and its place in the scene
+  function label(text, place) {
+    const element = document.createElement("span");
+    element.className = "mark";
+    element.textContent = text;
+    $("stage").append(element);
+    labels.push({ element, place: new THREE.Vector3(...place) });
+  }
+  function drawScale() { // a bar of round length along the lower edge, the height at the corner, and north (+y)
+    const metres = [1, 2, 5, 10, 20, 50, 100, 200, 500].findLast((m) => m <= 0.35 * (high[0] - low[0])) || 1;
+    const corner = [low[0], low[1] - 0.05 * size, low[2]], end = [low[0] + metres, corner[1], low[2]];
+    const top = [low[0], corner[1], high[2]], tip = [high[0] + 0.05 * size, low[1] + 0.1 * size, low[2]];
+    const grey = new THREE.MeshBasicMaterial({ color: "#8d99ae" }), thin = SHARES.path * size;
+    layer("scale").add(cylinder(corner, end, thin, grey), cylinder(corner, top, thin, grey),
+      cylinder([tip[0], low[1], low[2]], tip, thin, grey));
+    const point = new THREE.Mesh(new THREE.CylinderGeometry(0, 4 * thin, 12 * thin, 12), grey); // points along +y
+    point.position.set(...tip);
+    layer("scale").add(point);
+    label(`${metres} m`, end);
+    label(`${low[2].toFixed(1)} m`, corner);
+    label(`${high[2].toFixed(1)} m`, top);
+    label("N (+y)", [tip[0], tip[1] + 0.03 * size, tip[2]]);
+  }
+  function drawLegend() {
+    for (const [text, color] of LEGEND) {
+      const item = document.createElement("span"), patch = document.createElement("i");
+      patch.style.background = color;
+      item.append(patch, text);
+      $("legend").append(item);
+    }
+  }
+  function drawUnmapped(points, step) { // surface in sight that is not on the map
+    const shape = new THREE.InstancedMesh(new THREE.BoxGeometry(step, step, step),
+      new THREE.MeshBasicMaterial({ color: "#e53935" }), points.length / 3);
+    const place = new THREE.Matrix4();
+    for (let k = 0; k < points.length / 3; k++) shape.setMatrixAt(k, place.makeTranslation(...points.subarray(3 * k, 3 * k + 3)));
+    shape.frustumCulled = false;
+    layer("not mapped").add(shape);
   }
 
   const meshes = {}, solids = []; // of each object, by its name; all that can be clicked
@@ -265,7 +314,7 @@
     const folded = Math.abs(echo.seen_m - echo.range_m) > 1e-3
       ? ` The pulse interval folds it to ${echo.seen_m.toFixed(2)} m.` : "";
     const bounces = echo.bounces === 1 ? "1 bounce" : `${echo.bounces} bounces`;
-    return `${radars[radar].name}: ${echo.path.join(" > ")}, ${bounces}, ${echo.range_m.toFixed(2)} m, ` +
+    return `${radars[radar].name}: ${echo.path.map(readable).join(" > ")}, ${bounces}, ${echo.range_m.toFixed(2)} m, ` +
       `${echo.db.toFixed(1)} dB.${folded}`;
   }
   function choose(radar, echo) {
@@ -292,7 +341,7 @@
     choose(0, null);
     if (!hit) return;
     const { name, state } = hit.object.userData, [x, y, z] = hit.point.toArray().map((v) => v.toFixed(2));
-    $("explanation").textContent = `${name} at (${x}, ${y}, ${z}) m: ${state || "not in sight at the map's height"}.`;
+    $("explanation").textContent = `${readable(name)} at (${x}, ${y}, ${z}) m: ${state || "not in sight at the map's height"}.`;
   }
 
   // ---- profiles
@@ -358,7 +407,7 @@
         const item = document.createElement("li"), button = document.createElement("button");
         button.type = "button";
         button.echo = echo;
-        button.textContent = `${echo.db.toFixed(1)} dB  ${echo.seen_m.toFixed(2)} m  ${echo.path.join(" > ")}`;
+        button.textContent = `${echo.db.toFixed(1)} dB  ${echo.seen_m.toFixed(2)} m  ${echo.path.map(readable).join(" > ")}`;
         button.addEventListener("click", () => choose(number, echo));
         item.append(button);
         return item;
@@ -381,7 +430,15 @@
       turn: new THREE.Quaternion(...path.quat.subarray(4 * k, 4 * k + 4)) };
   }
   function render() {
-    if (renderer) renderer.render(scene, camera);
+    if (!renderer) return;
+    renderer.render(scene, camera);
+    const { clientWidth, clientHeight } = $("stage"), at = new THREE.Vector3();
+    for (const { element, place } of labels) {
+      at.copy(place).project(camera);
+      element.hidden = !layers.scale.visible || at.z > 1 || Math.abs(at.x) > 1 || Math.abs(at.y) > 1;
+      element.style.left = `${((at.x + 1) / 2) * clientWidth}px`;
+      element.style.top = `${((1 - at.y) / 2) * clientHeight}px`;
+    }
   }
   function goTo(frame) {
     $("time").value = String(frame);
@@ -429,7 +486,10 @@
   drawFlight();
   if (data.map) drawMap(data.map);
   if (data.image) drawImage(data.image);
-  for (const name of ["world", "flight", "beams", "echoes", "map", "image"].filter((one) => layers[one])) {
+  if (data.unmapped && data.unmapped.length) drawUnmapped(data.unmapped, Math.max(0.006 * size, 0.05));
+  drawScale();
+  if (renderer) drawLegend();
+  for (const name of ["world", "flight", "beams", "echoes", "map", "not mapped", "image", "scale"].filter((one) => layers[one])) {
     const label = document.createElement("label"), box = document.createElement("input");
     box.type = "checkbox";
     box.checked = layers[name].visible;
@@ -498,6 +558,28 @@
     controls.target.copy(target);
     controls.update();
     controls.addEventListener("change", render);
+    document.querySelectorAll("tr[data-object]").forEach((row) => { // its row takes the camera to an object
+      const thing = data.world && data.world.objects.find((one) => one.name === row.dataset.object);
+      if (!thing || !(thing.corners.length + thing.wires.length)) return;
+      const fly = () => {
+        const ends = [0, 1, 2].map((axis) => {
+          const values = [thing.corners, thing.wires].flatMap((points) => [...points].filter((_, k) => k % 3 === axis));
+          return [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
+        });
+        const middle = new THREE.Vector3(...ends.map(([a, b]) => (a + b) / 2));
+        const away = camera.position.clone().sub(controls.target).normalize();
+        const far = Math.max(1.2 * Math.hypot(...ends.map(([a, b]) => b - a)), 0.15 * size);
+        controls.target.copy(middle);
+        camera.position.copy(middle).addScaledVector(away, far);
+        controls.update();
+        $("explanation").textContent = `${readable(row.dataset.object)}: ${row.dataset.state}.`;
+        $("replay").scrollIntoView({ block: "nearest" });
+        render();
+      };
+      row.tabIndex = 0;
+      row.addEventListener("click", fly);
+      row.addEventListener("keydown", (event) => { if (event.key === "Enter") fly(); });
+    });
     const caster = new THREE.Raycaster();
     let pressed = null;
     $("view").addEventListener("pointerdown", (event) => { pressed = [event.clientX, event.clientY]; });
