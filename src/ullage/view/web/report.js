@@ -78,17 +78,18 @@
   function drawScale() { // a bar of round length along the lower edge, the height at the corner, and north (+y)
     const metres = [1, 2, 5, 10, 20, 50, 100, 200, 500].findLast((m) => m <= 0.35 * (high[0] - low[0])) || 1;
     const corner = [low[0], low[1] - 0.05 * size, low[2]], end = [low[0] + metres, corner[1], low[2]];
-    const top = [low[0], corner[1], high[2]], tip = [high[0] + 0.05 * size, low[1] + 0.1 * size, low[2]];
+    const top = [low[0], corner[1], high[2]], tail = [high[0] + 0.04 * size, low[1] - 0.12 * size, low[2]];
+    const tip = [tail[0], tail[1] + 0.1 * size, low[2]];
     const grey = new THREE.MeshBasicMaterial({ color: "#8d99ae" }), thin = SHARES.path * size;
     layer("scale").add(cylinder(corner, end, thin, grey), cylinder(corner, top, thin, grey),
-      cylinder([tip[0], low[1], low[2]], tip, thin, grey));
+      cylinder(tail, tip, thin, grey));
     const point = new THREE.Mesh(new THREE.CylinderGeometry(0, 4 * thin, 12 * thin, 12), grey); // points along +y
     point.position.set(...tip);
     layer("scale").add(point);
     label(`${metres} m`, end);
     label(`${low[2].toFixed(1)} m`, corner);
     label(`${high[2].toFixed(1)} m`, top);
-    label("N (+y)", [tip[0], tip[1] + 0.03 * size, tip[2]]);
+    label("N (+y)", tail);
   }
   function drawLegend() {
     for (const [text, color] of LEGEND) {
