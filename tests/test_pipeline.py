@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pstats
+import signal
 from collections.abc import Iterator
 from cProfile import Profile
 from dataclasses import replace
@@ -16,6 +17,7 @@ import ullage as ul
 from ullage.experiments.report_collectors import RangeTime, SampledFrames
 from ullage.experiments.ros2_nodes import MappingOptions, mapping_stages
 from ullage.pipeline import DetectStage, Due, ImageStage, InMemorySource, MapStage
+from ullage.stop_signals import StopFlag, stop_as_ctrl_c
 
 
 def thesis_frames(n: int = 60) -> ul.Frames:
@@ -46,6 +48,51 @@ class Cut:
             if index == self.after:
                 raise KeyboardInterrupt
             yield {"front": part}
+
+
+class Foreign:
+    """A stage in whose second piece Ctrl-C comes, in code that makes another error of any exception."""
+
+    pieces = 0
+
+    def update(self, chunk: dict[str, ul.Frames]) -> list[Any]:
+        self.pieces += 1
+        try:
+            if self.pieces == 2:
+                signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt as error:
+            raise TypeError("Cannot compare structured arrays") from error
+        return []
+
+    def finish(self) -> list[Any]:
+        return []
+
+
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
+    yield
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c")
+def test_ctrl_c_ends_a_run_after_the_piece_under_way() -> None:
+    frames, kept, stage = thesis_frames(), Kept(), Foreign()
+    outcome = ul.run(InMemorySource(frames, size=7), stages=[stage, DetectStage()], sinks=[kept])
+    assert outcome.interrupted
+    assert (stage.pieces, outcome.frames) == (2, 14)
+    assert kept.closed
+
+
+@pytest.mark.usefixtures("ctrl_c")
+def test_the_first_signal_sets_the_flag_and_the_second_raises() -> None:
+    with stop_as_ctrl_c(), StopFlag() as stop:
+        assert not stop.requested
+        signal.raise_signal(signal.SIGTERM)
+        assert stop.requested
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
 
 
 def test_every_frame_reaches_the_sink_and_the_map_is_that_of_the_whole() -> None:

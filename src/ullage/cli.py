@@ -79,7 +79,7 @@ def main(words: list[str] | None = None) -> None:
         SystemExit: the command is over; its code is 0, or 2 for what was refused.
     """
     from ullage.errors import DamageWarning, UllageError, one_line
-    from ullage.experiments.stop_signals import stop_as_ctrl_c
+    from ullage.stop_signals import stop_as_ctrl_c
 
     words = sys.argv[1:] if words is None else words
     debug = "--debug" in words

@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -20,6 +20,7 @@ from ullage.config import DetectMethod, ImageMethod, MapMethod
 from ullage.data import Detections, Frames, Recording, joined, sensors_of
 from ullage.errors import InputError, UllageWarning, need, shown
 from ullage.grids import Grid, Image, OccupancyMap
+from ullage.stop_signals import StopFlag
 
 if TYPE_CHECKING:
     from ullage.ports.intake import Covered
@@ -196,14 +197,18 @@ def run(
         try:
             if passing is not None:
                 passing.to(lambda item: _give(item, sinks))
-            for chunk in stream():
-                count.add(chunk)
-                _give(chunk, sinks)
-                for stage in stages:
-                    for item in stage.update(chunk):
-                        _give(item, sinks)
-                if progress is not None:
-                    progress(count.duration_s)
+            # a live source waits for its peer without end, so there Ctrl-C raises
+            with nullcontext(StopFlag()) if hasattr(given, "close") else StopFlag() as stop:
+                for chunk in stream():
+                    count.add(chunk)
+                    _give(chunk, sinks)
+                    for stage in stages:
+                        for item in stage.update(chunk):
+                            _give(item, sinks)
+                    if progress is not None:
+                        progress(count.duration_s)
+                    if interrupted := stop.requested:
+                        break
         except KeyboardInterrupt:
             interrupted = True
         results = tuple(item for stage in stages for item in stage.finish())
