@@ -30,6 +30,9 @@ MOST_DIGITS = 100
 MOST_CELLS = 200_000_000
 """Cells of a map that is read, one byte each; so a map and its working copies stay below 1 GB."""
 
+FREE_BYTES, MOST_RATIO = 256 * 2**20, 200
+"""Packed data above so many bytes may unpack to so many times what is stored."""
+
 _PARSER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _INTEGER = re.compile(r"[-+]?(0[box])?[0-9a-fA-F_:]+")
 _KINDS = {
@@ -132,6 +135,23 @@ def regular_size(path: str | Path, *, most_bytes: int | None = None, allowed: st
     if most_bytes is not None and found.st_size > most_bytes:
         raise InputError(f"{found.st_size} bytes are too many", where=path, allowed=f"at most {most_bytes} bytes")
     return found.st_size
+
+
+def check_unpacked(promised: int, stored: int, *, what: str, where: str | Path) -> None:
+    """Refuse packed data that unpacks to far more than is stored, before it takes the memory.
+
+    Args:
+        promised: size once unpacked [byte].
+        stored: size in the file [byte].
+        what: name of the array.
+        where: the file.
+
+    Raises:
+        InputError: it promises more than 256 MiB and more than 200 times what is stored.
+    """
+    if promised > max(FREE_BYTES, MOST_RATIO * stored):
+        text = f"{what} promises {promised} bytes and holds {stored}"
+        raise InputError(text, where=where, allowed=f"at most {MOST_RATIO} times what is stored")
 
 
 def read_yaml(path: str | Path) -> tuple[Any, str]:

@@ -49,6 +49,25 @@ def test_baseband_samples_come_as_they_are(tmp_path: Path) -> None:
     assert frames.spec.fps == pytest.approx(50)
 
 
+@pytest.mark.parametrize("prefix", ["", "track_"])
+def test_single_bad_poses_are_dropped_and_counted(tmp_path: Path, prefix: str) -> None:
+    turns, places = np.tile([0.0, 0, 0, 1], (N, 1)), np.c_[T_S, 0 * T_S, 1 + 0 * T_S]
+    places[7, 1], turns[9] = np.nan, 2 * turns[9]
+    track = {f"{prefix}positions_m": places, f"{prefix}quaternions_xyzw": turns} | (
+        {"track_times_s": T_S} if prefix else {}
+    )
+    with pytest.warns(
+        ul.UllageWarning, match="dropped 2 bad .pose 7: position is not finite; pose 9: .*of 30 received"
+    ):
+        frames = opened(write(tmp_path / "a.npz", **track))
+    if prefix:
+        assert frames.track is not None
+        assert len(frames.track) == N - 2
+    else:
+        assert frames.poses is not None
+        np.testing.assert_allclose(frames.poses.position, np.c_[T_S, 0 * T_S, 1 + 0 * T_S], atol=1e-9)
+
+
 def test_real_samples_are_rf_and_nanoseconds_are_exact(tmp_path: Path) -> None:
     t_ns = 1_600_000_000_123_456_789 + 20_000_000 * np.arange(N)
     rf = np.random.default_rng(0).normal(size=(N, BINS)).astype(np.float32)
@@ -122,7 +141,8 @@ def test_an_unknown_band_is_assumed_and_said_or_given(tmp_path: Path) -> None:
         ({"positions_m": PLACE[:5]}, r"positions_m is of shape \(5, 3\).*allowed: \(30, 3\)"),
         ({"positions_m": 1e9 * PLACE}, "positions_m is absurd"),
         ({"quaternions_xyzw": QUAT}, "quaternions_xyzw without positions_m"),
-        ({"positions_m": PLACE, "quaternions_xyzw": 2 * QUAT}, "pose 0 is not of unit length"),
+        ({"positions_m": PLACE, "quaternions_xyzw": 2 * QUAT}, "0 poses: dropped 30 bad .pose 0: quaternion is not of"),
+        ({"positions_m": np.where(np.arange(N)[:, None] < 1, np.nan, PLACE)}, "first or last frame has no pose"),
         ({"track_positions_m": PLACE}, "no track_times_s or track_times_ns"),
         ({"positions_m": PLACE, "track_positions_m": PLACE, "track_times_s": T_S}, "both positions_m and track"),
         ({"samples": np.array([[object()]])}, "a Python pickle: not opened, because it can run code.*convert it with"),
@@ -183,5 +203,5 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None
     central = raw.index(b"PK\x01\x02")
     raw[central + 24 : central + 28] = (0xF0000000).to_bytes(4, "little")  # the size it claims
     (tmp_path / "a.npz").write_bytes(bytes(raw))
-    with pytest.raises(ul.InputError, match="unpacks to 4026531840 bytes"):
+    with pytest.raises(ul.InputError, match=r"samples\.npy promises 4026531840 bytes and holds 0"):
         ul.open(tmp_path / "a.npz")

@@ -72,6 +72,33 @@ def test_times_since_1970_keep_their_nanoseconds(folder: Path) -> None:
     assert track.t_ns.tolist() == [1_600_000_000_123_456_789, 1_600_000_001_000_000_001]
 
 
+@pytest.mark.parametrize("text", [tum(), euroc(), named()])
+@pytest.mark.parametrize(("cell", "what"), [("nan", "not finite"), ("inf", "not finite"), ("7", "not of unit length")])
+def test_poses_that_cannot_be_are_dropped_and_counted(folder: Path, text: str, cell: str, what: str) -> None:
+    mark = "," if "," in text else " "
+    lines = text.splitlines()
+    for row in (50, 400):
+        cells = lines[row + 1].split(mark)
+        cells[0 if lines[0].startswith("qx") else -1] = cell  # a component of the quaternion
+        lines[row + 1] = mark.join(cells)
+    (folder / "track.csv").write_text("\n".join(lines))
+    with pytest.warns(ul.UllageWarning, match=f"dropped 2 bad .pose 50: .*{what}.*of 600 received"):
+        track = ul.open(folder).trajectory()
+    assert track is not None
+    np.testing.assert_allclose(track.position, np.delete(PLACE, (50, 400), axis=0), atol=1e-8)
+
+
+@pytest.mark.parametrize("start_ns", [0, 1_600_000_000_000_000_000])
+def test_stamps_in_nanoseconds_are_recognised(folder: Path, start_ns: int) -> None:
+    times = start_ns + np.rint(T_S * 1e9).astype(np.int64)
+    rows = [" ".join(map(str, (t, *place, *quat))) for t, place, quat in zip(times, PLACE, QUAT, strict=True)]
+    (folder / "track.txt").write_text("\n".join(rows))
+    with pytest.warns(ul.UllageWarning, match=r"track\.txt: times are taken as nanoseconds"):
+        track = ul.open(folder).trajectory()
+    assert track is not None
+    np.testing.assert_array_equal(track.t_ns, times)
+
+
 def test_what_evo_reads_is_read_alike(folder: Path) -> None:
     file_interface = pytest.importorskip("evo.tools.file_interface", reason="evo is not installed")
     (folder / "track.txt").write_text(tum())
@@ -89,9 +116,9 @@ def test_what_evo_reads_is_read_alike(folder: Path) -> None:
         ("a b c\n", "of no known kind of track.*Motive export, a TUM or EuRoC"),
         ("1 0 0 0 0 0 0 1\n2 0 0 zero 0 0 0 1\n", r"track\.txt:2: a cell is not a number"),
         ("1 0 0 0 0 0 0 1\n2 0 0\n", r"track\.txt:2: 3 cells"),
-        ("1 0 0 0 0 0 0 1\n2 0 0 nan 0 0 0 1\n", r"track\.txt:2: a cell is not finite"),
+        ("1 0 0 0 0 0 0 1\n2 0 0 nan 0 0 0 1\n", "1 poses: dropped 1 bad .pose 1: position is not finite"),
         ("1 0 0 0 0 0 0 1\n", "1 poses.*at least 2"),
-        ("1 0 0 0 0 0 0 3\n2 0 0 0 0 0 0 1\n", "quaternion of pose 0 is not of unit length"),
+        ("1 0 0 0 0 0 0 3\n2 0 0 0 0 0 0 1\n", "pose 0: quaternion is not of unit length"),
         ("t_s,x_m,y_m\n1,2,3\n", "no column z_m"),
         ("t_s,x_m,y_m,z_m,qx\n1,2,3,4,0\n", "only qx of the attitude"),
         ("t_s,x_m,y_m,z_m,x_m\n1,2,3,4,5\n2,2,3,4,5\n", "stand twice: x_m"),

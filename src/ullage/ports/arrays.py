@@ -29,7 +29,9 @@ from ullage.data import UNEVEN, Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.geometry import C0
 from ullage.ports.protocol import mend_clock, warn_of_saturation
+from ullage.ports.tracks import good_poses
 from ullage.specs import RadarSpec
+from ullage.untrusted import check_unpacked
 
 KEYS = ("samples", "times_s", "times_ns", "ranges_m", "center_hz", "bandwidth_hz", "positions_m", "quaternions_xyzw",
         "track_times_s", "track_times_ns", "track_positions_m", "track_quaternions_xyzw")  # fmt: skip
@@ -71,13 +73,15 @@ def load(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
     """Read those of the named arrays that the file holds; no pickled object is opened.
 
     Raises:
-        InputError: it is no `.npz` file, is damaged, holds a pickle, or unpacks to more than 4 GB.
+        InputError: it is no `.npz` file, is damaged, holds a pickle, or unpacks to more than 4 GB or 200 times itself.
     """
     try:
         refuse_pickle(path)
         with zipfile.ZipFile(path) as packed:
-            size = sum(one.file_size for one in packed.infolist())
-        if size > MOST_BYTES:
+            members = packed.infolist()
+        for one in members:
+            check_unpacked(one.file_size, one.compress_size, what=one.filename, where=path)
+        if (size := sum(one.file_size for one in members)) > MOST_BYTES:
             raise InputError(f"unpacks to {size} bytes", where=path, allowed=f"at most {MOST_BYTES}")
         with np.load(path, allow_pickle=False) as stored:
             return {name: np.asarray(stored[name]) for name in names if name in stored}
@@ -138,7 +142,8 @@ def _times(entries: dict[str, NDArray[Any]], prefix: str, path: Path) -> Longs:
     if value.ndim != 1 or not value.size or value.dtype.kind not in "iuf" or not np.isfinite(value).all():
         raise InputError(f"{names[0]} is {_kind(value)}", where=path, allowed="a row of finite numbers")
     if float(np.abs(value.astype(float)).max()) > MOST_S * (1e9 if nanoseconds else 1):
-        raise InputError(f"{names[0]} is absurd", where=path, allowed=f"within {MOST_S:g} s of zero")
+        allowed = f"within {MOST_S:g} s of zero; nanoseconds as {either[1]}"
+        raise InputError(f"{names[0]} is absurd", where=path, allowed=allowed)
     if nanoseconds and value.dtype.kind in "iu":
         return value.astype(np.int64)
     return np.rint(value.astype(float) * (1 if nanoseconds else 1e9)).astype(np.int64)
@@ -211,14 +216,16 @@ def _poses(entries: dict[str, NDArray[Any]], prefix: str, t_ns: Longs, path: Pat
     position = entries[place]
     quat = entries.get(turn, np.tile([0.0, 0, 0, 1], (len(t_ns), 1)))
     for name, value, width in ((place, position, 3), (turn, quat, 4)):
-        if value.shape != (len(t_ns), width) or value.dtype.kind not in "iuf" or not np.isfinite(value).all():
-            raise InputError(f"{name} is {_kind(value)}", where=path, allowed=f"({len(t_ns)}, {width}) finite numbers")
-    if abs(position).max() > MOST_M:
+        if value.shape != (len(t_ns), width) or value.dtype.kind not in "iuf":
+            raise InputError(f"{name} is {_kind(value)}", where=path, allowed=f"({len(t_ns)}, {width}) numbers")
+    if abs(position[np.isfinite(position)]).max(initial=0) > MOST_M:
         raise InputError(f"{place} is absurd", where=path, allowed=f"within {MOST_M:g} m of the origin")
-    norm = np.linalg.norm(quat.astype(float), axis=1, keepdims=True)
-    if (bad := np.flatnonzero(abs(norm[:, 0] - 1) > 0.01)).size:
-        raise InputError(f"{turn} of pose {int(bad[0])} is not of unit length", where=path, allowed="length 1")
-    return Trajectory(t_ns, position.astype(float), quat / norm)
+    poses = good_poses(t_ns, position, quat, where=path)
+    if prefix or len(poses) == len(t_ns):
+        return poses
+    if poses.t_ns[0] > t_ns[0] or poses.t_ns[-1] < t_ns[-1]:
+        raise InputError("the first or last frame has no pose", where=path, allowed=f"finite {place}, unit {turn}")
+    return poses.at(t_ns)  # a frame without a pose takes it from the poses around, as of a live port
 
 
 def _kind(value: NDArray[Any]) -> str:

@@ -5,12 +5,13 @@ Every live port and every reader of recordings uses these objects. None of them 
 - `Inbox` holds messages between the thread that receives and the one that uses them, and bounds their number.
 - `Counters` counts the messages that were used and dropped, by topic and reason, and reports them.
 - `Clock` gives times that rise, although the source's clock may step or a single stamp may be wrong.
-- `checked_pose` accepts finite positions and unit quaternions only.
+- `checked_pose` accepts finite positions and unit quaternions only; `echo_range` ranges within a sensor's limits.
 - `PoseQueue` holds frames until their poses are known, for a bounded time and in a bounded number.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 import warnings
@@ -23,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ullage.arrays import Floats
-from ullage.errors import UllageWarning
+from ullage.errors import InputError, UllageWarning
 
 Log = Callable[[str], None]
 """Takes one line for a person."""
@@ -441,6 +442,18 @@ def checked_pose(position: ArrayLike, quat_xyzw: ArrayLike) -> tuple[Floats, Flo
     if abs(square - 1) > UNIT_TOLERANCE:
         return "quaternion is not of unit length"
     return at, turn / np.sqrt(square)
+
+
+def echo_range(range_m: ArrayLike, low_m: float, high_m: float) -> Floats:
+    """Ranges as a sensor reports them, inf where it met nothing: beyond its own limits nothing is measured (REP-117).
+
+    Raises:
+        InputError: the limits are none.
+    """
+    if not (math.isfinite(low_m) and math.isfinite(high_m) and low_m <= high_m):
+        raise InputError(f"range limits of {low_m:g} and {high_m:g} m", where="range", allowed="least <= most, finite")
+    measured = np.asarray(range_m, np.float64)
+    return np.where((measured >= low_m) & (measured <= high_m), measured, np.inf)
 
 
 class Inbox(Generic[ItemT]):

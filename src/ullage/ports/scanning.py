@@ -14,7 +14,7 @@ from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.fan import FULL_DEG, reaching_max_range
 from ullage.ports.cosimulation import CosimulationOptions, UnboundedSource, radar_of
-from ullage.ports.intake import Counters, Log, Stamped, Stream, checked_pose
+from ullage.ports.intake import Counters, Log, Stamped, Stream, checked_pose, echo_range
 from ullage.ports.pose_events import Notice, Pose, stamp_ns
 from ullage.radar.receiver import receive_thesis
 from ullage.radar.receiving import sensor_seed
@@ -66,6 +66,7 @@ def scan_of(message: Any, time: Any, pose: Pose, *, sensor: str = "") -> Scan:
     fov_deg = math.degrees(limits[0])
     if fov_deg > FULL_DEG - 1e-2:  # the last ray of a full circle is the first one again
         fov_deg, ranges, strength = FULL_DEG, ranges[:, :-1], strength[:, :-1]
+    ranges = echo_range(ranges, *limits[1:])
     return Scan(stamp_ns(time), ranges, strength, fov_deg, *limits[1:], *pose, up_deg if up_deg > 0 else None, sensor)
 
 

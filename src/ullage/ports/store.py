@@ -17,10 +17,9 @@ from ullage.errors import InputError, need
 from ullage.grids import Grid, OccupancyMap
 from ullage.ports import conversions
 from ullage.ports.protocol import Item, one_or_all
+from ullage.untrusted import FREE_BYTES, check_unpacked
 
 ROWS = 256  # frames in a chunk
-FREE_BYTES, MOST_RATIO = 256 * 2**20, 200
-"""Arrays above so many bytes may unpack to so many times what is stored."""
 
 
 class ZarrSink:
@@ -174,9 +173,7 @@ class ZarrSource:
         array = group[name]
         if array.nbytes > FREE_BYTES:
             stored = sum(path.stat().st_size for path in (self.path / array.path).rglob("*") if path.is_file())
-            if array.nbytes > MOST_RATIO * stored:
-                what = f"{name} promises {array.nbytes} bytes and holds {stored}"
-                raise InputError(what, where=self.path, allowed=f"at most {MOST_RATIO} times what is stored")
+            check_unpacked(array.nbytes, stored, what=name, where=self.path)
         return array
 
     def _cut(self, name: str, start: int, stop: int | None) -> Frames:

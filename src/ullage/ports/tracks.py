@@ -3,19 +3,23 @@
 All but Motive's are world_from_radar with z up: a row is one pose. TUM: time [s], x, y, z [m], quaternion x, y, z, w,
 between blanks [TUM2012]. EuRoC: a header with `#timestamp`, time [ns], x, y, z, quaternion w, x, y, z [EuRoC2016].
 Named columns: `t_s` or `t_ns`, `x_m`, `y_m`, `z_m` and, where the attitude is known,
-`qx`, `qy`, `qz`, `qw`, in any order.
+`qx`, `qy`, `qz`, `qw`, in any order. Poses that cannot be are left out and counted, as live ports do.
 """
 
 from __future__ import annotations
 
 import csv
+import warnings
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from ullage.arrays import Floats
+from ullage.arrays import Floats, Longs
 from ullage.data import Trajectory
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageWarning
+from ullage.ports.intake import Counters, checked_pose, warn
 from ullage.ports.motive import read_tracks
 from ullage.ports.protocol import mend_clock
 
@@ -24,6 +28,8 @@ PLACE, TURN = ("x_m", "y_m", "z_m"), ("qx", "qy", "qz", "qw")
 TUM = ("t_s", *PLACE, *TURN)
 EUROC = ("t_ns", *PLACE, "qw", "qx", "qy", "qz")
 MOST_M, MOST_S = 1e6, 9e9
+LONGEST_STEP_S = 1e5
+"""Usual time between two poses; a longer one is of a clock in nanoseconds [s]."""
 
 
 def read_bodies(path: str | Path) -> dict[str, Trajectory]:
@@ -69,11 +75,10 @@ def _rows(
         if len(kept) < len(names):
             raise InputError(f"{len(kept)} cells", where=path, line=number, allowed=", ".join(names))
         try:
-            values = [float(cell) for cell in kept[: len(names)]]
+            for cell in kept[: len(names)]:
+                float(cell)
         except ValueError:
             raise InputError("a cell is not a number", where=path, line=number, allowed=", ".join(names)) from None
-        if not np.isfinite(values).all():
-            raise InputError("a cell is not finite", where=path, line=number, allowed=", ".join(names))
         out.append(kept)
     return out
 
@@ -90,26 +95,57 @@ def _track(rows: list[list[str]], names: tuple[str, ...] | list[str], path: Path
     some = [name for name in TURN if name in at]
     if some and len(some) < len(TURN):
         raise InputError(f"only {', '.join(some)} of the attitude", where=path, allowed=", ".join(TURN))
-    if len(rows) < 2:
-        raise InputError(f"{len(rows)} poses", where=path, allowed="at least 2")
 
     def columns(wanted: tuple[str, ...]) -> Floats:
-        return np.array([[float(row[at[name]]) for name in wanted] for row in rows])
+        return np.array([[float(row[at[name]]) for name in wanted] for row in rows]).reshape(len(rows), len(wanted))
 
-    seconds = columns((clock,))[:, 0] * (1e-9 if clock == "t_ns" else 1.0)
     position = columns(PLACE)
-    if abs(seconds).max() > MOST_S or abs(position).max() > MOST_M:
-        raise InputError("times or positions are absurd", where=path, allowed=f"|t| < {MOST_S:g} s, |x| < {MOST_M:g} m")
-    t_ns = np.array([_nanoseconds(row[at[clock]], clock) for row in rows], np.int64)
     quat = columns(TURN) if some else np.tile([0.0, 0.0, 0.0, 1.0], (len(rows), 1))
-    norm = np.linalg.norm(quat, axis=1, keepdims=True)
-    if (bad := np.flatnonzero(abs(norm[:, 0] - 1) > 0.01)).size:
-        raise InputError(f"the quaternion of pose {int(bad[0])} is not of unit length", where=path, allowed="length 1")
-    return Trajectory(mend_clock(t_ns, where=path), position, quat / norm)
+    t_ns, timed = _times([row[at[clock]] for row in rows], clock, path)
+    position[~timed] = np.nan
+    if abs(position[np.isfinite(position)]).max(initial=0) > MOST_M:
+        raise InputError("positions are absurd", where=path, allowed=f"|x| < {MOST_M:g} m")
+    return good_poses(t_ns, position, quat, where=path)
 
 
-def _nanoseconds(text: str, clock: str) -> int:
-    """Exact time: doubles of seconds since 1970 lose 0.1 microseconds."""
-    from decimal import Decimal
+def good_poses(t_ns: Longs, position: ArrayLike, quat_xyzw: ArrayLike, *, where: Path) -> Trajectory:
+    """The poses of a file without those that `checked_pose` refuses; a warning counts them, as live ports do.
 
-    return round(Decimal(text.strip()) * (1 if clock == "t_ns" else 1_000_000_000))
+    Args:
+        t_ns: (n) [ns].
+        position: (n, 3) [m].
+        quat_xyzw: (n, 4).
+        where: the file.
+
+    Raises:
+        InputError: fewer than two poses are left, or their times are out of order.
+    """
+    counters, topic = Counters(), f"{where}: poses"
+    counters.receive(topic, len(t_ns))
+    found = [checked_pose(*pose) for pose in zip(np.asarray(position), np.asarray(quat_xyzw), strict=True)]
+    for index, pose in enumerate(found):
+        if isinstance(pose, str):
+            counters.drop(topic, "bad", f"pose {index}: {pose}")
+    good = [pose for pose in found if not isinstance(pose, str)]
+    if len(good) < 2:
+        why = "".join(line.removeprefix(topic) for line in counters.lines())
+        raise InputError(f"{len(good)} poses{why}", where=where, allowed="at least 2")
+    for line in counters.lines():
+        warn(line)
+    times = mend_clock(t_ns[[not isinstance(pose, str) for pose in found]], where=where)
+    return Trajectory(times, *(np.array(part) for part in zip(*good, strict=True)))
+
+
+def _times(cells: list[str], clock: str, path: Path) -> tuple[Longs, NDArray[np.bool_]]:
+    """Exact times [ns], as doubles of seconds since 1970 lose 0.1 microseconds; and which of them are finite."""
+    given = np.array([float(cell) for cell in cells])
+    timed = np.isfinite(given)
+    steps = np.abs(np.diff(given[timed]))
+    if clock == "t_s" and steps.size and np.median(steps) > LONGEST_STEP_S:
+        warnings.warn(f"{path}: times are taken as nanoseconds, not seconds", UllageWarning, stacklevel=5)
+        clock = "t_ns"
+    unit = 1 if clock == "t_ns" else 1_000_000_000
+    if abs(given[timed]).max(initial=0) * unit > MOST_S * 1e9:
+        raise InputError("times are absurd", where=path, allowed=f"|t| < {MOST_S:g} s")
+    exact = [round(Decimal(cell.strip()) * unit) if good else 0 for cell, good in zip(cells, timed, strict=True)]
+    return np.array(exact, np.int64), timed

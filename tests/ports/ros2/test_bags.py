@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import ullage as ul
 from ullage.geometry import rpy_quat
-from ullage.ports import conversions
+from ullage.ports import conversions, encode
 from ullage.ports import messages as ros
 from ullage.ports.publisher import Message, Publisher, body_path
 
@@ -122,6 +122,20 @@ def test_a_ros1_bag_of_ranges(tmp_path: Path, flight: ul.Frames) -> None:
     frames = ul.open(write_ros1(tmp_path / "a.bag", notes_of(flight, "/range"))).frames()
     assert len(frames) == len(flight)
     assert frames.poses is None
+
+
+def test_a_range_outside_its_own_limits_is_no_echo(tmp_path: Path) -> None:
+    ranges = [2.0, 4.0, 4.01, 40.0, 0.25, 0.2, 0.19, 0.0, -1.0, np.inf, -np.inf, np.nan]
+    notes = [
+        Message(t, "/sonar", encode.RANGE, "sensor", encode.range_message(t, reach, (0.2, 4.0), 0.3, frame_id="sonar"))
+        for t, reach in zip((S * np.arange(1, len(ranges) + 1)).tolist(), ranges, strict=True)
+    ]
+    frames = ul.open(write_sqlite(tmp_path / "a", notes)).frames()
+    assert isinstance(frames, ul.Frames)
+    peak = frames.range_m[np.argmax(frames.amplitude, axis=1)]
+    met = frames.amplitude.max(axis=1) > 0
+    assert met.tolist() == [0.2 <= reach <= 4.0 for reach in ranges]
+    np.testing.assert_allclose(peak[met], np.array(ranges)[met], atol=0.03)
 
 
 def write_mcap(path: Path, notes: list[Message]) -> Path:

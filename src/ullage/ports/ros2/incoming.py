@@ -20,7 +20,18 @@ from ullage.geometry import C0, matrix_quat
 from ullage.ports import conversions
 from ullage.ports import messages as ros
 from ullage.ports.encode import RANGE, range_layout
-from ullage.ports.intake import LATE_NS, Clock, Counters, Log, Place, PoseQueue, Stamped, Stream, checked_pose
+from ullage.ports.intake import (
+    LATE_NS,
+    Clock,
+    Counters,
+    Log,
+    Place,
+    PoseQueue,
+    Stamped,
+    Stream,
+    checked_pose,
+    echo_range,
+)
 from ullage.ports.publisher import shifted
 from ullage.ports.ros2.options import SourceOptions
 from ullage.ports.ros2.transforms import Transforms
@@ -145,7 +156,7 @@ class Incoming:
         bins = np.arange(max(int(message.max_range / self._spec.bin_m) + 8, 16))
         range_m: Floats = np.asarray(self._spec.bin_m * bins, np.float64)
         width = C0 / 2 * self._spec.pulse_sigma_s
-        away = (range_m - message.range) / width if np.isfinite(message.range) else np.full(len(range_m), np.inf)
+        away = (range_m - echo_range(message.range, message.min_range, message.max_range)) / width
         self._profile(topic, message.header, range_m, np.exp(-(away**2) / 2))
 
     def _profile(self, topic: str, header: Any, range_m: Floats, level: Any) -> None:
