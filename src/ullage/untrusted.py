@@ -42,7 +42,7 @@ _KINDS = {
 
 
 class PlainLoader(_PARSER):  # type: ignore[misc]  # one of two classes
-    """YAML without dates, and with the truth values of YAML 1.2: `on`, `off`, `yes` and `no` stay text.
+    """YAML without dates, and with the truth values and numbers of YAML 1.2: `no` stays text, `5e-2` is a number.
 
     Names of settings are text: a group with another key, such as a number, is refused at the key's line. So is one with
     a key that stands twice, of which other readers keep the last in silence.
@@ -73,6 +73,9 @@ class PlainLoader(_PARSER):  # type: ignore[misc]  # one of two classes
 
 PlainLoader.add_implicit_resolver(
     "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF")
+)
+PlainLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?(?:\.\d+|\d+(?:\.\d*)?)[eE][-+]?\d+$"), list("-+.0123456789")
 )
 
 

@@ -114,7 +114,7 @@ GOOD = {
         ("", "no map"), ("- 1\n", "no map"), (": [", "not YAML"), ("image: [\n", "not YAML"),
         (yaml.dump(GOOD | {"resolution": "wide"}), "resolution is 'wide'"),
         (yaml.dump(GOOD | {"resolution": -1}), "step_m"),
-        (yaml.dump(GOOD | {"origin": [0, 0, 0.5]}), "turned by 0.5"), (yaml.dump(GOOD | {"origin": 3}), "origin is 3"),
+        (yaml.dump(GOOD | {"origin": [0, 0, "x"]}), "origin is "), (yaml.dump(GOOD | {"origin": 3}), "origin is 3"),
         (yaml.dump(GOOD | {"mode": "odd"}), "no mode 'odd'"), (yaml.dump(GOOD | {"free_thresh": 0.9}), "not below"),
         (yaml.dump(GOOD | {"image": "none.pgm"}), "no image"), (yaml.dump(GOOD | {"image": "m.yaml"}), "no image"),
     ],
@@ -125,6 +125,140 @@ def test_bad_maps_are_refused(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(ul.InputError, match=words) as error:
         read_map(tmp_path / "m.yaml")
     assert "\n" not in str(error.value)
+
+
+GREY = np.kron(np.array([[0, 205, 254], [254, 100, 205], [205, 0, 254]], np.uint8), np.ones((8, 8), np.uint8))
+"""What map_server writes, with a grey level of a painter; 8 by 8 pixels each."""
+
+
+def linear(grey: np.ndarray, gamma: float) -> np.ndarray:
+    """Grey levels stored with another gamma than a screen's."""
+    return np.rint(255 * (grey / 255) ** (2.2 * gamma)).astype(np.uint8)
+
+
+def with_gamma(gamma: float) -> bytes:
+    return round(gamma * 1e5).to_bytes(4, "big")
+
+
+def saved_as(kind: str, path: Path) -> Path:
+    """The picture of `GREY` as one of many programs saves it."""
+    from PIL.PngImagePlugin import PngInfo
+
+    grey, wide, chunk = Image.fromarray(GREY), GREY.astype(np.uint16) * 257, PngInfo()
+    clear = Image.fromarray(np.where(GREY == 205, 0, 255).astype(np.uint8))
+    painted = Image.merge("LA", (Image.fromarray(np.where(GREY == 205, 254, GREY).astype(np.uint8)), clear))
+    name = path / f"m.{kind.split()[-1]}"
+    match kind.rpartition(" ")[0]:
+        case "palette":
+            grey.convert("RGB").quantize(8).save(name)
+        case "clear palette":
+            Image.fromarray(np.where(GREY == 205, 7, GREY).astype(np.uint8)).convert("P").save(name, transparency=7)
+        case "grey and alpha":
+            painted.save(name)
+        case "colours and alpha":
+            painted.convert("RGBA").save(name)
+        case "half clear":
+            half = Image.fromarray(np.where(GREY == 205, 128, 255).astype(np.uint8))
+            Image.merge("LA", (painted.getchannel("L"), half)).save(name)
+        case "16 bits":
+            Image.fromarray(wide).save(name)
+        case "16 bits by name":
+            name.write_bytes(b"P5 24 24 65535\n" + wide.astype(">u2").tobytes())
+        case "gamma ignored":
+            chunk.add(b"gAMA", with_gamma(1.0))
+            grey.save(name, pnginfo=chunk)
+        case "gamma heeded":
+            chunk.add(b"gAMA", with_gamma(0.3))
+            Image.fromarray(linear(GREY, 0.3)).save(name, pnginfo=chunk)
+        case "lossy":
+            grey.save(name, quality=30)
+        case _:
+            grey.save(name)
+    return name
+
+
+EXACT = ["plain pgm", "plain png", "plain bmp", "plain tif", "palette png", "palette gif", "clear palette png",
+         "grey and alpha png", "colours and alpha png", "half clear png", "16 bits png", "16 bits tif",
+         "16 bits by name pgm"]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", [*EXACT, "gamma ignored png", "gamma heeded png", "lossy jpg"])
+@pytest.mark.parametrize("free_thresh", [0.196, 0.25])
+def test_no_kind_of_image_makes_unknown_cells_free(tmp_path: Path, kind: str, free_thresh: float) -> None:
+    about = GOOD | {"image": saved_as(kind, tmp_path).name, "free_thresh": free_thresh}
+    (tmp_path / "m.yaml").write_text(yaml.dump(about))
+    got, want = read_map(tmp_path / "m.yaml").percent[::-1], np.select([GREY == 0, GREY == 254], [100, 0], -1)
+    assert not ((got == 0) & (want != 0)).any()
+    assert (got[want == 100] == 100).mean() > 0.9
+    assert (got[want == 0] == 0).mean() > 0.9
+    if kind in EXACT:
+        np.testing.assert_array_equal(got, want)
+
+
+def test_percent_of_8_bits_in_16_are_not_read_as_free(tmp_path: Path) -> None:
+    Image.fromarray(np.array([[0, 50, 100, 255]], np.uint16)).save(tmp_path / "m.png")
+    (tmp_path / "m.yaml").write_text(yaml.dump(GOOD | {"image": "m.png", "mode": "raw"}))
+    assert read_map(tmp_path / "m.yaml").percent.tolist() == [[0, -1, -1, -1]]
+
+
+@pytest.mark.parametrize("image", [np.full((2, 2), 0.5, np.float32), np.full((2, 2), 2**24, np.int32)])
+def test_pixels_of_unknown_scale_are_refused(tmp_path: Path, image: np.ndarray) -> None:
+    Image.fromarray(image).save(tmp_path / "m.tif")
+    (tmp_path / "m.yaml").write_text(yaml.dump(GOOD | {"image": "m.tif"}))
+    with pytest.raises(ul.InputError, match=r"no image: .*pixels of"):
+        read_map(tmp_path / "m.yaml")
+
+
+def turned(folder: Path, yaw: float) -> ul.OccupancyMap:
+    """A room of 60 by 40 cells with walls of one cell, unknown outside, read with its origin turned."""
+    grey = np.full((60, 80), 205, np.uint8)
+    grey[10:50, 10:70], grey[11:49, 11:69] = 0, 254
+    Image.fromarray(grey).save(folder / "m.pgm")
+    (folder / "m.yaml").write_text(yaml.dump(GOOD | {"origin": [1.0, -2.0, yaw]}))
+    return read_map(folder / "m.yaml")
+
+
+def test_a_map_turned_by_right_angles_keeps_every_cell(tmp_path: Path) -> None:
+    straight = turned(tmp_path, 0.0)
+    for quarter in range(-3, 4):
+        got = turned(tmp_path, quarter * np.pi / 2)
+        np.testing.assert_array_equal(got.percent, np.rot90(straight.percent, -quarter))  # rows from low y
+    np.testing.assert_array_equal(turned(tmp_path, 1e-9).percent, straight.percent)
+
+
+@settings(deadline=None, max_examples=10)
+@given(yaw=st.floats(-4, 4))
+def test_a_turned_map_is_turned_and_its_walls_stay_closed(tmp_path_factory: pytest.TempPathFactory, yaw: float) -> None:
+    from scipy.ndimage import label
+
+    folder = tmp_path_factory.mktemp("turned")
+    straight, got = turned(folder, 0.0), turned(folder, yaw)
+    cells = np.argwhere(straight.free | straight.occupied)[:, ::-1]
+    places = np.array([1.0, -2.0]) + 0.1 * (cells + 0.5) @ np.array(
+        [[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]
+    )
+    rows, inside = got.grid.index(places)
+    assert inside.all()
+    occupied = straight.occupied[cells[:, 1], cells[:, 0]]
+    assert got.occupied[tuple(rows.T)][occupied].all()
+    assert got.free.sum() == pytest.approx(straight.free.sum(), rel=0.1)
+    open_space, _ = label(~got.occupied)
+    assert not set(open_space[got.free]) & set(open_space[got.unknown])
+
+
+def test_numbers_and_truth_as_others_write_them(tmp_path: Path) -> None:
+    Image.fromarray(np.array([[0, 205, 254]], np.uint8)).save(tmp_path / "m.pgm")
+    text = "image: m.pgm\nresolution: 5e-2\norigin: [-1e1, .5E0, 0.0]\nnegate: {}\noccupied_thresh: 65e-2\nfree_thresh: 0.2\n"
+    for negate, percent in (
+        ("no", [100, -1, 0]),
+        ("false", [100, -1, 0]),
+        ("yes", [0, 100, 100]),
+        ("1", [0, 100, 100]),
+    ):
+        (tmp_path / "m.yaml").write_text(text.format(negate))
+        got = read_map(tmp_path / "m.yaml")
+        assert (got.grid.step_m, got.grid.origin_m[:2]) == (0.05, (-10.0, 0.5))
+        assert got.percent.tolist() == [percent]
 
 
 def test_volumes_and_odd_suffixes_are_refused(tmp_path: Path) -> None:

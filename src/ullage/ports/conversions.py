@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
 import warnings
 from collections.abc import Sequence
@@ -18,12 +19,15 @@ from ullage.fan import drawn_rays
 from ullage.geometry import quat_matrix
 from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
 from ullage.ports import messages as ros
+from ullage.ports.turned import along_axes
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 
 WORLD, BODY = "map", "base_link"  # names of REP-105
 STAMP = struct.Struct("<iI")
 MOST_TRIANGLES = 50_000
+OCCUPIED_FROM = 65  # percent, as map_server has it
+LEVEL = 1e-3  # most of a quaternion's x and y where a map is level
 PROFILE = (("x", "float32"), ("y", "float32"), ("z", "float32"), ("intensity", "float32"))
 HIT = (*PROFILE, ("range", "float32"), ("snr_db", "float32"))
 PAINT = {
@@ -252,19 +256,20 @@ def grid_of(data: bytes) -> OccupancyMap:
     """Decode an OccupancyGrid message to a map.
 
     Raises:
-        InputError: the grid is rotated, or its size does not fit.
+        InputError: the grid is tilted, or its size does not fit.
     """
     message = ros.from_bytes(ros.GRID, data)
     at, turn, info = message.info.origin.position, message.info.origin.orientation, message.info
-    if abs(turn.x) + abs(turn.y) + abs(turn.z) > 1e-9:
-        raise InputError("the map is turned", where="OccupancyGrid", allowed="an origin along the axes of the world")
+    if abs(turn.x) + abs(turn.y) > LEVEL:
+        raise InputError("the map is tilted", where="OccupancyGrid", allowed="a level origin")
     percent = np.array(message.data, np.int8)
     if percent.size and (percent.min() < UNKNOWN or percent.max() > 100):
         raise InputError("a cell is out of range", where="OccupancyGrid", allowed="-1 (unknown), 0 to 100 percent")
     if len(percent) != info.width * info.height:
         raise InputError("the map's size does not fit", where="OccupancyGrid")
     step = float(str(np.float32(info.resolution)))  # the shortest number that this float32 can mean
-    return OccupancyMap(Grid((at.x, at.y, at.z), step, (info.height, info.width)), percent.reshape(info.height, -1))
+    cells, yaw = percent.reshape(info.height, info.width), 2 * math.atan2(turn.z, turn.w)
+    return OccupancyMap(*along_axes(cells, (at.x, at.y, at.z), step, yaw=yaw, occupied_from=OCCUPIED_FROM))
 
 
 def cells_message(omap: OccupancyMap, t_ns: int) -> bytes:

@@ -2,6 +2,8 @@
 
 trinary: black is occupied, white free, grey (205) unknown. scale: grey levels between the thresholds, unknown is
 transparent, so the image is a PNG. raw: the pixel is the percent, 255 unknown; nothing is lost but the mark ambiguous.
+
+Maps that are read come from many programs: a cell is free or occupied only where every way to read its pixel agrees.
 """
 
 from __future__ import annotations
@@ -10,15 +12,18 @@ import math
 import os
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.errors import InputError, shown
 from ullage.files import write_whole
-from ullage.grids import UNKNOWN, Grid, OccupancyMap
+from ullage.grids import UNKNOWN, OccupancyMap
+from ullage.ports.turned import along_axes
 from ullage.untrusted import read_yaml, reason, regular_size
 
 Mode = Literal["trinary", "scale", "raw"]
@@ -29,6 +34,9 @@ MOST_PIXELS = 100_000_000
 STRIP = 256  # rows of the image worked on at a time, so that their colours take little memory
 FORMATS = ("PPM", "PNG", "BMP", "TIFF", "GIF", "JPEG")  # none that needs another program, as PostScript does
 LARGEST = 1e9  # metres and metres a pixel
+SCREEN_GAMMA = 0.45455  # of a PNG that screens show as it stands
+JPEG_ERROR, ROUNDED = 12 / 255, 0.5 / 255  # of brightness, as JPEG or 8 bits change it
+TRUE = ("1", "1.0", "true", "yes", "on")  # of YAML 1.1, as others write it
 
 
 def write_map_server(omap: OccupancyMap, path: str | Path, *, mode: Mode = "trinary") -> Path:
@@ -94,7 +102,7 @@ def read_map_server(path: str | Path) -> OccupancyMap:
         path: of the `.yaml`.
 
     Raises:
-        InputError: the file or its image cannot be read or make no map; turned maps are refused.
+        InputError: the file or its image cannot be read or make no map.
     """
     path = Path(path)
     about, _ = read_yaml(path)
@@ -107,16 +115,16 @@ def read_map_server(path: str | Path) -> OccupancyMap:
         raise InputError(f"no mode {mode!r}", where=path, allowed=", ".join(MODES))
     if not 0 <= low < high <= 1:
         raise InputError(f"free_thresh {low:g} is not below occupied_thresh {high:g}", where=path, allowed="0 to 1")
-    x, y = _origin(about, path)
-    image, negate = _beside(path, str(about["image"])), bool(about.get("negate", 0))
-    percent = _read_image(image, lambda grey, opaque: _percent(grey, opaque, mode, negate, low, high))[::-1]
+    x, y, yaw = _origin(about, path)
+    image, negate = _beside(path, str(about["image"])), str(about.get("negate", 0)).lower() in TRUE
+    percent = _read_image(image, lambda grey: _percent(grey, mode, negate, low, high))[::-1]
     entry = about.get("ullage")
     own: dict[str, Any] = entry if isinstance(entry, dict) else {}
     z = own.get("height_m")
     height = float(z) if isinstance(z, int | float) and abs(z) <= LARGEST else math.nan
-    grid = Grid((x, y, height), step, percent.shape)
     levels = (round(100 * high), round(100 * low)) if mode == "raw" else (65, 35)
-    return OccupancyMap(grid, np.ascontiguousarray(percent), str(own.get("method") or "map_server"), *levels)
+    grid, cells = along_axes(np.ascontiguousarray(percent), (x, y, height), step, yaw=yaw, occupied_from=levels[0])
+    return OccupancyMap(grid, cells, str(own.get("method") or "map_server"), *levels)
 
 
 def _number(about: dict[str, Any], name: str, path: Path) -> float:
@@ -126,14 +134,12 @@ def _number(about: dict[str, Any], name: str, path: Path) -> float:
     return float(value)
 
 
-def _origin(about: dict[str, Any], path: Path) -> tuple[float, float]:
+def _origin(about: dict[str, Any], path: Path) -> tuple[float, float, float]:
     origin: Any = about.get("origin")
     known = isinstance(origin, list) and len(origin) == 3 and all(isinstance(v, int | float) for v in origin)
     if not (known and all(abs(v) <= LARGEST for v in origin)):
         raise InputError(f"origin is {shown(origin)}", where=path, allowed="[x, y, yaw]")
-    if origin[2] != 0:
-        raise InputError(f"the map is turned by {origin[2]:g} rad", where=path, allowed="yaw 0")
-    return float(origin[0]), float(origin[1])
+    return float(origin[0]), float(origin[1]), float(origin[2])
 
 
 def _beside(path: Path, name: str) -> Path:
@@ -151,8 +157,8 @@ def _beside(path: Path, name: str) -> Path:
     return image
 
 
-def _read_image(path: Path, percent_of: Callable[[Any, Any], NDArray[np.int8]]) -> NDArray[np.int8]:
-    """The percent of each pixel, from its brightness 0..255, the mean of colours, and whether it is opaque."""
+def _read_image(path: Path, percent_of: Callable[[Floats], NDArray[np.int8]]) -> NDArray[np.int8]:
+    """The percent of each pixel, from its brightness 0..255, the mean of colours; unknown where readings differ."""
     from PIL import Image
 
     try:
@@ -161,13 +167,13 @@ def _read_image(path: Path, percent_of: Callable[[Any, Any], NDArray[np.int8]]) 
             if image.width * image.height > MOST_PIXELS:
                 size = f"{image.width} x {image.height} pixels"
                 raise InputError(f"{size} are too many", where=path, allowed=f"{MOST_PIXELS:.0e}")
-            transparent = "A" in image.getbands() or "transparency" in image.info
+            readings = _readings(image)
             out = np.empty((image.height, image.width), np.int8)
             for top in range(0, image.height, STRIP):
-                part = image.crop((0, top, image.width, min(top + STRIP, image.height)))
-                pixels: Any = np.asarray(part.convert("RGBA" if transparent else "RGB"))
-                opaque = pixels[..., 3] > 0 if transparent else np.ones(pixels.shape[:2], np.bool_)
-                out[top : top + STRIP] = percent_of(pixels[..., :3].mean(axis=-1), opaque)
+                over_black, over_white = _brightness(image.crop((0, top, image.width, min(top + STRIP, image.height))))
+                found = [percent_of(255 * read(grey)) for read in readings for grey in (over_black, over_white)]
+                same = np.ptp(found, axis=0) == 0
+                out[top : top + STRIP] = np.where(same, found[0], UNKNOWN)
             return out
     except InputError:
         raise
@@ -177,14 +183,43 @@ def _read_image(path: Path, percent_of: Callable[[Any, Any], NDArray[np.int8]]) 
         raise InputError(f"no image: {reason(error)}", where=path, allowed="PGM, PNG, BMP") from None
 
 
-def _percent(
-    grey: NDArray[np.float64], opaque: NDArray[np.bool_], mode: str, negate: bool, low: float, high: float
-) -> NDArray[np.int8]:
+def _readings(image: Any) -> list[Callable[[Floats], Floats]]:
+    """Ways to read a brightness 0..1: as it stands, by a PNG's gamma that few programs heed, or off by JPEG's error."""
+    gamma = float(image.info.get("gamma") or SCREEN_GAMMA)
+    power = 1.0 if abs(gamma / SCREEN_GAMMA - 1) < 0.02 else SCREEN_GAMMA / gamma
+    error = JPEG_ERROR if image.format == "JPEG" else ROUNDED if power != 1 else 0.0
+
+    def bent(grey: Floats, off: float) -> Floats:
+        return np.asarray(np.clip(grey + off, 0, 1) ** power)
+
+    return [lambda grey: grey, *(partial(bent, off=off) for off in (-error, error) if error)]
+
+
+def _brightness(part: Any) -> tuple[Floats, Floats]:
+    """Brightness of each pixel 0..1, with black behind what is clear, and with white."""
+    clear = part.info.get("transparency")
+    if part.mode == "I" or part.mode.startswith("I;16"):  # 16 bits, which PIL would cut off at 255
+        raw = np.asarray(part, np.float64)
+        if raw.max() > 65535:
+            raise ValueError("pixels of 32 bits")
+        grey, opacity = raw / 65535, np.where(raw == (-1 if clear is None else clear), 0.0, 1.0)
+    elif part.mode == "F":
+        raise ValueError("pixels of floating point")
+    else:
+        pixels = np.asarray(part.convert("RGBA"), np.float64) / 255
+        grey, opacity = pixels[..., :3].mean(axis=-1), pixels[..., 3]
+    return grey * opacity, grey * opacity + 1 - opacity
+
+
+def _percent(grey: Floats, mode: str, negate: bool, low: float, high: float) -> NDArray[np.int8]:
+    """The percent of pixels by their brightness 0..255."""
     if mode == "raw":
-        return np.where(grey <= 100, grey, UNKNOWN).astype(np.int8)
-    chance = grey / 255 if negate else (255 - grey) / 255
+        whole = np.abs(grey - np.rint(grey)) < 1e-6  # 16 bits that hold 8 are no percent
+        return np.where((grey < 100.5) & whole, np.rint(grey), UNKNOWN).astype(np.int8)
+    chance = (grey if negate else 255 - grey) / 255
     between = np.full(grey.shape, float(UNKNOWN))
     if mode == "scale":
         between = np.rint(1 + 98 * (chance - low) / (high - low))
-    out = np.where(chance > high, 100, np.where(chance < low, 0, between))
-    return np.where(opaque, out, UNKNOWN).astype(np.int8)
+    else:
+        low = min(low, FREE_THRESHOLD)  # Nav2 writes 0.25, above the unknown of the images beside it
+    return np.where(chance > high, 100, np.where(chance < low, 0, between)).astype(np.int8)
