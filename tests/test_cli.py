@@ -63,6 +63,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("cli")
     (folder / "room.sdf").write_text(ROOM)
     (folder / "walls.yaml").write_text(PLAN)
+    (folder / "walls.fbx").touch()
     done = ullage("run", "walls.yaml", cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder
@@ -199,6 +200,12 @@ def test_what_is_there_is_shown(
     [
         (("run", "gone.sdf"), "gone.sdf: no such file"),
         (("run", "nowhere"), "no scenario, recording or port 'nowhere'"),
+        (("run", "gone.mcap"), "gone.mcap: no such file"),
+        (("run", "gone/flight"), "gone/flight: no such file"),
+        (("run", "walls.fbx"), r"walls.fbx: no kind .*ntnu-wire.*scenario.yaml.*\.sdf.*\.mcap.*\.npz.*imc:"),
+        (("run", "walls.yaml", "--force", "--to", "gone/deep/x.mcap"), "no folder gone/deep"),
+        (("run", "walls.yaml", "--force", "--to", "gone/deep"), "no folder gone"),
+        (("run", "walls.yaml", "--force", "--to", "gone/x.yaml"), "no folder gone"),
         (("run", "walls.yaml"), "this run exists.*--force"),
         (("run", "walls.yaml", "-o", "map.step_m=-1"), "map.step_m"),
         (("run", "walls.yaml", "--do", "dance"), "no task 'dance'"),
@@ -218,6 +225,15 @@ def test_what_cannot_be_done_is_said_in_one_line(
     lines = told.stderr.strip().splitlines()
     assert len(lines) == 1, told.stderr
     assert re.search(says, lines[0])
+
+
+def test_a_run_that_is_not_there_is_not_answered_with_a_hidden_draft(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "runs/.cut-01234567.draft").mkdir(parents=True)
+    (tmp_path / "runs/.cut-01234567.draft/provenance.json").write_text("{}")
+    told = Told(("show", "nothere"), tmp_path, capsys)
+    assert told.stderr == "ullage: no run 'nothere' (allowed: a run folder, one of cut-01234567)\n"
 
 
 def test_ctrl_c_leaves_a_whole_run(place: Path) -> None:

@@ -147,7 +147,7 @@ def saved_as(kind: str, path: Path) -> Path:
     grey, wide, chunk = Image.fromarray(GREY), GREY.astype(np.uint16) * 257, PngInfo()
     clear = Image.fromarray(np.where(GREY == 205, 0, 255).astype(np.uint8))
     painted = Image.merge("LA", (Image.fromarray(np.where(GREY == 205, 254, GREY).astype(np.uint8)), clear))
-    name = path / f"m.{kind.split()[-1]}"
+    name = path / f"m.{kind.rsplit(maxsplit=1)[-1]}"
     match kind.rpartition(" ")[0]:
         case "palette":
             grey.convert("RGB").quantize(8).save(name)

@@ -97,7 +97,7 @@ def find_folder(text: str | Path) -> Path:
     for place in (*places, *(draft_of(p) for p in places if p.name)):
         if (place / "scenario.yaml").is_file() or (place / "provenance.json").is_file():
             return place.resolve() if place.is_symlink() else place
-    known = sorted(p.parent.name for p in RUNS.glob("*/provenance.json")) if RUNS.is_dir() else []
+    known = sorted({final_of(folder).name for folder in runs_in(RUNS)})
     raise InputError(
         f"no run {str(text)!r}", allowed="a run folder" + (f", one of {', '.join(known[-8:])}" if known else "")
     )

@@ -21,8 +21,10 @@ from ullage.experiments.run import Run, into, of_scenario
 from ullage.experiments.simulated import prepare
 from ullage.pipeline import Sink, check_sink
 from ullage.pipeline import sink as open_sink
+from ullage.ports.arrays import refuse_pickle
 from ullage.ports.live import LISTED, Address
 from ullage.ports.protocol import Passing
+from ullage.ports.registry import SOURCES, reads
 from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -84,13 +86,26 @@ def check_target(target: str) -> None:
     Raises:
         InputError: it names none of them.
     """
-    known = is_world(target) or target in scenario_names() or Path(target).suffix in {".yaml", ".yml"}
-    if not (known or ":" in target or os.path.exists(target)):
-        raise InputError(
-            f"no scenario, recording or port {target!r}{suggestion(target, scenario_names())}",
-            allowed=f"a scenario ({', '.join(families())}), a scenario.yaml, a world file, a recording, "
-            f"or a live port: {LISTED}",
-        )
+    path, there = Path(target), os.path.exists(target)
+    live = Address.of(target) is not None and not there
+    if target in scenario_names() or is_world(target) or path.suffix in {".yaml", ".yml"} or live:
+        return
+    if there and reads(path):
+        return
+    from ullage.world.load import KINDS
+
+    allowed = (
+        f"a scenario ({', '.join(families())}), a scenario.yaml, a world ({', '.join(KINDS)}), "
+        f"a recording ({SOURCES}), or a live port ({LISTED})"
+    )
+    if there:
+        refuse_pickle(path)
+        raise InputError("no kind of file that is known", where=target, allowed=allowed)
+    if path.suffix or path.name != target:
+        raise InputError("no such file", where=target, allowed=allowed)
+    raise InputError(
+        f"no scenario, recording or port {target!r}{suggestion(target, scenario_names())}", allowed=allowed
+    )
 
 
 def is_world(target: str) -> bool:

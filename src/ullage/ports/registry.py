@@ -22,7 +22,7 @@ from ullage.untrusted import read_yaml, reading, regular_size
 
 Made = TypeVar("Made")
 SOURCES = (
-    ".mcap, .zarr, DUNE's .lsf or .lsf.gz, an X4 .dat, an .npz of plain arrays, "
+    ".mcap, .bag, .db3, .zarr, DUNE's .lsf or .lsf.gz, an X4 .dat, an .npz of plain arrays, "
     "or a folder with frames.mcap, metadata.yaml, or radar.out or radar.npz and a track (mocap.csv, track.csv, "
     "track.txt)"
 )
@@ -67,6 +67,12 @@ def open(target: str | Path, **options: Any) -> Source:
     with reading(path):
         source = _opened(path, options)
     return source if isinstance(source, WholeSource) else GuardedSource(source, path)
+
+
+def reads(path: Path) -> bool:
+    """Whether a reader of recordings takes such a name: a folder, or a file by its suffix."""
+    known = (*FILES, *LOGS, *(name for name in plugins.names("ullage.sources") if name.startswith(".")))
+    return os.path.isdir(path) or path.name.lower().endswith(known)
 
 
 def _path_of(target: str | Path, allowed: str) -> Path:
@@ -162,13 +168,13 @@ def check_sink(target: str | Path) -> None:
         for library in NEEDED.get(address.scheme, ()):
             need(library, extra=address.scheme)
     elif kind in MAPS:
-        check_folder(path)  # a map replaces the one before
+        check_beside(path)  # a map replaces the one before
     elif kind in {".mcap", ".zarr"} or path.name.lower().endswith(LOGS):
         if kind == ".zarr":
             need("zarr", extra="zarr")
         check_new(path)
     elif path.is_dir() or (not kind and not path.is_file()):
-        check_new(path / "frames.mcap")
+        check_new(path / "frames.mcap" if path.is_dir() else path)
     elif kind in plugins.names("ullage.sinks"):
         check_new(path)
     else:
@@ -179,10 +185,21 @@ def check_new(path: Path) -> None:
     """Check that a file can be made.
 
     Raises:
-        InputError: it exists already, or its folder cannot be written.
+        InputError: it exists already, or its folder is missing or cannot be written.
     """
     if path.exists():
         raise InputError("exists already", where=path, allowed="a new name")
+    check_beside(path)
+
+
+def check_beside(path: Path) -> None:
+    """Check that the folder of a file exists and can be written; a mistyped one is not made.
+
+    Raises:
+        InputError: it is missing, or cannot be written.
+    """
+    if not path.absolute().parent.exists():
+        raise InputError(f"no folder {path.parent}", where=path, allowed="a folder that exists")
     check_folder(path)
 
 
