@@ -190,7 +190,7 @@ def run(
     recording = record(job)
     total = job.flown.duration_s if job.flown is not None and not job.live else None
     with progress_bar("receiving and mapping", total=total, unit="s of flight") as bar:
-        report = execute(job, sinks=[recording], progress=bar, log=bar.log, under_way=under_way)
+        report = execute(job, sinks=[recording], progress=bar, on_lag=bar.on_lag, log=bar.log, under_way=under_way)
     _print_summary(report)
     if open_report:
         open_page(report.folder / "report.html")
@@ -232,7 +232,7 @@ def fly(
     job = make_flight(scenario, by=by, duration_s=duration_s, out=out, log=log, to=to or [])
     recording = record(job)
     with progress_bar("flying", total=duration_s, unit="s of flight") as bar:
-        report = execute(job, sinks=[recording], progress=bar, log=bar.log)
+        report = execute(job, sinks=[recording], progress=bar, on_lag=bar.on_lag, log=bar.log)
     _print_summary(report)
     if not report.outcome.interrupted:
         keep_serving(job.sinks)
@@ -294,7 +294,9 @@ def _print_summary(report: Report) -> None:
 
     outcome = report.outcome
     if outcome.interrupted:
-        log(": everything received by then is written", mark="interrupted", style="yellow")
+        rest = outcome.live.left_out_s if outcome.live is not None else 0.0
+        what = f"all but {rest:.1f} s" if rest else "everything"
+        log(f": {what} received by then is written", mark="interrupted", style="yellow")
     if (kept := final_of(report.folder)) != report.folder:
         log(f"the complete run in {kept} stays; this one is in {report.folder}")
     factor = report.metrics["real_time_factor"].value

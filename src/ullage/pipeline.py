@@ -23,6 +23,7 @@ from ullage.grids import Grid, Image, OccupancyMap
 from ullage.stop_signals import StopFlag
 
 if TYPE_CHECKING:
+    from ullage.live_run import LiveStatistics
     from ullage.ports.intake import Covered
     from ullage.ports.protocol import Sink as PortSink
     from ullage.processing.image_sum import ImageSum
@@ -83,6 +84,7 @@ class Outcome:
     duration_s: float  # covered by the frames, by their own clock, without gaps as where a clock stepped
     interrupted: bool  # by Ctrl-C; everything up to then is written
     results: tuple[Any, ...]  # what the stages gave at the end
+    live: LiveStatistics | None = None  # how well a live run kept up
 
 
 @dataclass(slots=True)
@@ -170,14 +172,19 @@ def run(
     stages: Sequence[Stage] = (),
     sinks: Sequence[Sink] = (),
     progress: Callable[[float], None] | None = None,
+    on_lag: Callable[[float, int], None] | None = None,
 ) -> Outcome:
     """Take frames from a source until it ends or Ctrl-C; give every piece and result to every sink.
+
+    A live port is received in a thread of its own, obstacles are found there, and each sink has its own thread, so
+    that none waits for a map; what cannot keep up leaves out the oldest frames (`ullage.live_run`).
 
     Args:
         source: gives the frames; or frames in memory, of one sensor or a dict of several.
         stages: process every chunk in turn; their results go to the sinks.
         sinks: take frames and results; closed at the end in every case.
         progress: called with the seconds of recording done so far, after each piece.
+        on_lag: called in a live run with the seconds that map and image are behind, and the frames left out so far.
 
     Returns:
         Counts, and what the stages gave when they finished.
@@ -192,11 +199,14 @@ def run(
     _check_parts("stage", stages, ("update", "finish"))
     _check_parts("sink", sinks, ("write", "close"))
     count, interrupted = _Count(), False
-    passing = getattr(source, "passing", None)  # of a live port: messages that are no frames
     try:
+        if getattr(given, "passing", None) is not None:
+            from ullage.live_run import LiveLoop
+
+            loop = LiveLoop(given, stages, sinks, count)
+            results = loop.run(progress, on_lag)
+            return Outcome(count.frames, count.duration_s, loop.interrupted, results, loop.statistics())
         try:
-            if passing is not None:
-                passing.to(lambda item: _give(item, sinks))
             # a live source waits for its peer without end, so there Ctrl-C raises
             with nullcontext(StopFlag()) if hasattr(given, "close") else StopFlag() as stop:
                 for chunk in stream():

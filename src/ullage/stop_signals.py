@@ -13,33 +13,42 @@ STOP = (signal.SIGTERM, signal.SIGHUP)
 
 
 class StopFlag:
-    """Flag that the first Ctrl-C within its block sets; a second one raises KeyboardInterrupt at once.
+    """Counts Ctrl-C, and SIGTERM and SIGHUP within `stop_as_ctrl_c`, in place of an exception; the last one raises.
 
     A `KeyboardInterrupt` raised inside numpy may come out as another error. A loop that holds this flag reads
-    `requested` between two frames instead. It stays unset outside the main thread and where Ctrl-C is ignored.
+    `requested` between two frames instead. It stays unset outside the main thread, and a signal that is ignored stays
+    ignored.
+
+    Args:
+        raises_at: the signal that raises KeyboardInterrupt at once, since nobody reads the flag.
     """
 
-    __slots__ = ("_before", "requested")
+    __slots__ = ("_before", "_raises_at", "count")
 
-    def __init__(self) -> None:
-        self.requested = False
+    def __init__(self, raises_at: int = 2) -> None:
+        self.count, self._raises_at = 0, raises_at
+
+    @property
+    def requested(self) -> bool:
+        """Whether a signal has come."""
+        return self.count > 0
 
     def __enter__(self) -> Self:
-        self._before: Any = None
+        self._before: dict[int, Any] = {}
         if threading.current_thread() is threading.main_thread():
-            before = signal.getsignal(signal.SIGINT)
-            if callable(before):  # not SIG_IGN: a shell starts background work with Ctrl-C ignored
-                self._before = signal.signal(signal.SIGINT, self._request)
+            known = {number: signal.getsignal(number) for number in (signal.SIGINT, *STOP)}
+            # SIG_IGN: a shell starts background work so; SIG_DFL: nobody asked that this signal ends the work in order
+            self._before = {n: signal.signal(n, self._request) for n, handler in known.items() if callable(handler)}
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
     def _request(self, number: int, frame: FrameType | None) -> None:
-        if self.requested:
+        self.count += 1
+        if self.count >= self._raises_at:
             raise KeyboardInterrupt
-        self.requested = True
 
 
 @contextmanager

@@ -89,13 +89,17 @@ def test_the_sonar_gives_the_height_and_infinity_beyond_its_reach() -> None:
 
 
 def test_frames_imu_and_sonar_come_out_and_the_controls_are_let_go() -> None:
-    controls, messages = Script((0.0, Velocity(0.3))), list[Passed]()
+    controls, items = Script((0.0, Velocity(0.3))), list[Passed | ul.Trajectory]()
     room = ul.scenes.room(size_m=(6, 4, 3))
     source = HandFlownSource(
         room, ul.Rig.preset("thesis-4"), FlyOptions(fidelity="thesis", duration_s=1.0), controls, start=(0, 0, 0)
     )
-    source.passing.to(messages.append)
+    source.passing.to(items.append)
     pieces = list(source.stream())
+    messages = [item for item in items if isinstance(item, Passed)]
+    paths = [item for item in items if isinstance(item, ul.Trajectory)]
+    assert sum(map(len, paths)) >= 50
+    assert paths[0].t_ns[0] <= pieces[0]["front"].t_ns[0] + 20_000_000
     front = [piece["front"] for piece in pieces if "front" in piece]
     assert sum(map(len, front)) >= 17
     t_ns = np.concatenate([part.t_ns for part in front])
@@ -177,12 +181,13 @@ def test_a_flight_that_cannot_be_is_refused_in_one_line(words, said, monkeypatch
 
 def imu_readings(**options) -> np.ndarray:
     """Turn rate and acceleration of a vehicle that hovers (n, 6)."""
-    messages, room = list[Passed](), ul.scenes.room(size_m=(6, 4, 3))
+    messages, room = list[Passed | ul.Trajectory](), ul.scenes.room(size_m=(6, 4, 3))
     chosen = FlyOptions(fidelity="thesis", duration_s=1.0, rate_hz=5, **options)
     source = HandFlownSource(room, ul.Rig.preset("single"), chosen, Script(), start=(0, 0, 0))
     source.passing.to(messages.append)
     list(source.stream())
-    read = [ros.from_bytes(one.kind, one.data) for one in messages if one.topic == IMU_TOPIC]
+    read = [ros.from_bytes(one.kind, one.data) for one in messages
+            if isinstance(one, Passed) and one.topic == IMU_TOPIC]  # fmt: skip
     return np.array(
         [[m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z, m.linear_acceleration.x,
           m.linear_acceleration.y, m.linear_acceleration.z] for m in read[:40]]

@@ -171,7 +171,7 @@ def test_falling_behind_is_said():
     said = []
     followed(line(), said=said, newest_ns=9_000_000_000)
     assert len(said) == 1
-    assert said[0].startswith("cannot keep up: 7")
+    assert said[0].startswith("cannot keep up: 8")
 
 
 def test_nothing_is_published_when_not_asked():
@@ -211,7 +211,7 @@ def test_radars_come_from_the_world_a_preset_or_a_file(tmp_path):
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"wrold": "x"}, r"here: no option 'wrold' \(allowed: model, world, rig,"),
+        ({"wrold": "x"}, r"here: no option 'wrold' \(allowed: lag, model, world, rig,"),
         ({"rate_hz": "fast"}, "rate_hz is 'fast'"),
         ({}, r"here: no world \(allowed: world=NAME"),
         ({"world": "ntnu-room"}, r"here: no model \(allowed: model=NAME"),

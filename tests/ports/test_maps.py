@@ -248,7 +248,10 @@ def test_a_turned_map_is_turned_and_its_walls_stay_closed(tmp_path_factory: pyte
 
 def test_numbers_and_truth_as_others_write_them(tmp_path: Path) -> None:
     Image.fromarray(np.array([[0, 205, 254]], np.uint8)).save(tmp_path / "m.pgm")
-    text = "image: m.pgm\nresolution: 5e-2\norigin: [-1e1, .5E0, 0.0]\nnegate: {}\noccupied_thresh: 65e-2\nfree_thresh: 0.2\n"
+    text = (
+        "image: m.pgm\nresolution: 5e-2\norigin: [-1e1, .5E0, 0.0]\n"
+        "negate: {}\noccupied_thresh: 65e-2\nfree_thresh: 0.2\n"
+    )
     for negate, percent in (
         ("no", [100, -1, 0]),
         ("false", [100, -1, 0]),

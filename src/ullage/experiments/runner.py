@@ -44,6 +44,7 @@ def execute(
     *,
     sinks: Sequence[Sink] = (),
     progress: Callable[[float], None] | None = None,
+    on_lag: Callable[[float, int], None] | None = None,
     log: Log = print,
     draw: bool = True,
     under_way: Compiling | None = None,
@@ -56,6 +57,7 @@ def execute(
         job: what to run.
         sinks: besides the folder's own recording.
         progress: called with the seconds of recording done.
+        on_lag: called in a live run with the seconds that map and image are behind, and the frames left out.
         log: called with each step in a few words.
         draw: figures too; without them the report holds numbers only.
         under_way: kernels that are still being compiled; maps and images wait for theirs.
@@ -64,7 +66,7 @@ def execute(
     try:
         write_text(job.folder / "scenario.yaml", scenario_text(job.scenario))
         write_json(job.folder / "provenance.json", origin | running())
-        outcome = _receive(job, sinks, progress, log, under_way)
+        outcome = _receive(job, sinks, progress, on_lag, log, under_way)
         report = _finish(job, outcome, origin, log if draw else None)
     except BaseException as error:
         _keep_what_came(job, origin, error)
@@ -79,6 +81,7 @@ def _receive(
     job: Run,
     sinks: Sequence[Sink],
     progress: Callable[[float], None] | None,
+    on_lag: Callable[[float, int], None] | None,
     log: Log,
     under_way: Compiling | None,
 ) -> Outcome:
@@ -89,7 +92,8 @@ def _receive(
     if job.obstacles is not None:
         keeping.append(job.obstacles)
     try:
-        outcome = run(job.source, stages=stages, sinks=[*sinks, *job.sinks, *keeping], progress=progress)
+        given = [*sinks, *job.sinks, *keeping]
+        outcome = run(job.source, stages=stages, sinks=given, progress=progress, on_lag=on_lag)
     finally:
         if under_way is not None:
             under_way.close()
@@ -276,6 +280,12 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
     if own := [one for one in job.own_echo.found.values() if one.energy_share]:
         out["own_echo_share"] = Metric("own_echo_share", 100 * max(one.energy_share for one in own), "%")
         out["own_echo_extent"] = Metric("own_echo_extent", max(one.extent_m for one in own), "m")
+    if outcome.live is not None:
+        out["left_out"] = Metric("left_out", outcome.live.left_out)
+        out["most_behind"] = Metric("most_behind", outcome.live.most_behind_s, "s")
+        job.findings = [*job.findings, *outcome.live.lines()]
+        if outcome.live.obstacles:
+            out["obstacle_p99"] = Metric("obstacle_p99", 1e3 * outcome.live.obstacle_p99_s, "ms")
     if (part := _calibrated(job)) is not None:
         places = job.map.scatterers if job.map is not None else []
         job.findings, found = verdict(part, maps[-1] if maps else None, places, job.marks, settled=job.settled)

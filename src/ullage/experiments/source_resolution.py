@@ -263,6 +263,7 @@ class _Begun:
 
     def __init__(self, source: Any, *, wait: bool) -> None:
         self._source, self._rest = source, source.stream()
+        self.lag_s: float | None = getattr(source, "lag_s", None)
         self.passing: Passing | None = getattr(source, "passing", None)
         self.first: dict[str, Frames] = next(self._rest, {}) if wait else {}
 
@@ -273,6 +274,23 @@ class _Begun:
                 yield self.first
             yield from self._rest
         finally:
+            self.close()
+
+    @property
+    def behind_s(self) -> float:
+        """How long the oldest message waits already [s]."""
+        return float(getattr(self._source, "behind_s", 0.0))
+
+    def keep_up(self) -> None:
+        """From now on leave out what is later than the limit."""
+        if (keep_up := getattr(self._source, "keep_up", None)) is not None:
+            keep_up()
+
+    def stop(self) -> None:
+        """End the stream after what has come so far."""
+        if (stop := getattr(self._source, "stop", None)) is not None:
+            stop()
+        else:
             self.close()
 
     def close(self) -> None:

@@ -7,13 +7,14 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 from pydantic import Field
 
 from ullage.arrays import Floats
-from ullage.data import Frames
+from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.flight.airframe import GRAVITY_M_S2
 from ullage.flight.live import Steered
@@ -22,9 +23,9 @@ from ullage.flight.vehicle import check_clear
 from ullage.geometry import quat_matrix
 from ullage.ports import encode
 from ullage.ports.conversions import BODY
-from ullage.ports.cosimulation import BEHIND_S, UnboundedSource
+from ullage.ports.cosimulation import BEHIND_S, PIECE_S, UnboundedSource
 from ullage.ports.imu import ImuNoise
-from ullage.ports.intake import Counters, Log
+from ullage.ports.intake import Counters, Inbox, LiveOptions, Log
 from ullage.ports.protocol import Passed, Passing
 from ullage.ports.radar_status import RadarStatus
 from ullage.specs import Rig
@@ -35,12 +36,12 @@ IMU_TOPIC, SONAR_TOPIC = "raw_imu", "sonar_height"
 """Names of the Hector quadrotor's topics."""
 SONAR_M, SONAR_FOV_RAD, SONAR_HZ = (0.03, 3.0), math.radians(40), 10.0
 """Limits, opening and rate of the sonar of [HectorQuadrotor]."""
-BATCH_S = 0.1
+BATCH_S = 0.05
 """Poses are gathered for so long before the radars are simulated along them."""
 STEP_S = 0.01
 
 
-class FlyOptions(PilotOptions):
+class FlyOptions(PilotOptions, LiveOptions):
     """Settings of a flight by hand."""
 
     fly: str = Field("", description="library world or file to fly in")
@@ -98,6 +99,7 @@ class State:
     quat_xyzw: Floats  # (4)
     spin: Floats  # (3) body [rad/s]
     force_m_s2: Floats  # (3) specific force in the body: acceleration less gravity
+    velocity: Floats  # (3) world [m/s]
 
 
 class HandFlight:
@@ -136,14 +138,14 @@ class HandFlight:
         self._velocity, self._last_ns = velocity, vehicle.t_ns
         turn = quat_matrix(vehicle.quat_xyzw)
         force = turn.T @ (change + np.array([0.0, 0.0, GRAVITY_M_S2]))
-        return State(t_ns, vehicle.position, vehicle.quat_xyzw, vehicle.spin, force)
+        return State(t_ns, vehicle.position, vehicle.quat_xyzw, vehicle.spin, force, velocity)
 
 
 class HandFlownSource(UnboundedSource):
     """Frames of radars on a vehicle that somebody flies, in this machine's time.
 
-    A thread flies, so that no simulation of radars delays a command. Beside frames the source passes on the readings
-    of an IMU and of a sonar that points down, on the topics of the Hector quadrotor.
+    A thread flies, so that no simulation of radars delays a command or the state. Beside frames the source passes on
+    the path, and the readings of an IMU and of a sonar that points down on the topics of the Hector quadrotor.
 
     Args:
         scene: the world.
@@ -164,7 +166,7 @@ class HandFlownSource(UnboundedSource):
     ) -> None:  # fmt: skip
         from ullage.radar.live import LiveRadars
 
-        super().__init__(options.duration_s, log, topic="flight")
+        super().__init__(options.duration_s, log, topic="flight", lag_s=options.lag_s)
         self.scene: Scene | None = scene
         self.passing = Passing()
         self._options, self._controls, self._body = options, controls, frame_prefix + BODY
@@ -181,8 +183,8 @@ class HandFlownSource(UnboundedSource):
         self._sonar = Sonar(scene)
         self._imu = ImuNoise(options.state_hz, seed=options.seed) if options.imu_noise else None
         self._epoch_ns = self._done_ns = self._touched = 0
-        self._states: list[State] = []
-        self._lock = threading.Condition()
+        self._states: Inbox[State] = Inbox(self.counters)
+        self._lost = 0  # states that were dropped before the last piece
         self._ending = False
         self._error: BaseException | None = None
         self._thread: threading.Thread | None = None
@@ -193,26 +195,32 @@ class HandFlownSource(UnboundedSource):
         return self._names
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Frames as they fall due, at most about `chunk` of each radar at a time, until Ctrl-C or the asked end."""
+        """Frames as they fall due, at most about `chunk` of each radar at a time, until the asked end or `stop`."""
         self._warm_up()
         self._epoch_ns = time.time_ns()
         self._thread = threading.Thread(target=self._fly, name="ullage flight", daemon=True)
         self._thread.start()
-        most_s = chunk / max(self._options.rate_hz or spec.fps for spec in self._radars.sensors.values())
+        fastest_hz = max(self._options.rate_hz or spec.fps for spec in self._radars.sensors.values())
         try:
             while not self._over():
-                states = self._gathered(most_s)
+                stopping = self._stopping
+                states = self._gathered(min(chunk / fastest_hz, PIECE_S))
                 if states:
-                    self._done_ns = states[-1].t_ns
                     yield from self._made(states)
+                    self._done_ns = states[-1].t_ns
+                elif stopping:
+                    return
                 self._complain()
         finally:
             self._report()
             self.close()
 
     def _made(self, states: list[State]) -> Iterator[dict[str, Frames]]:
-        """The frames along some states; the readings of the other sensors go on."""
-        self.passing.give(lambda: [message for state in states for message in self._readings(state)])
+        """The frames along some states."""
+        if self._states.lost > self._lost:
+            self._lost = self._states.lost
+            count = self._radars.skip(self._epoch_ns + states[0].t_ns)
+            self.counters.drop("frames", "lost", f"more than {self.lag_s:g} s late", count=count)
         found = self._radars.advance(
             [self._epoch_ns + state.t_ns for state in states],
             [state.position for state in states],
@@ -229,6 +237,14 @@ class HandFlownSource(UnboundedSource):
     def _behind_s(self) -> float:
         """Return the part of the flight that waits for simulation [s]."""
         return len(self._states) / self._options.state_hz
+
+    def _state_of(self, states: list[State]) -> Iterator[Trajectory | Passed]:
+        """Give the path along some states and the readings of the other sensors."""
+        rows = [(s.position, s.quat_xyzw, s.velocity, s.spin) for s in states]
+        times = np.array([self._epoch_ns + state.t_ns for state in states])
+        yield Trajectory(times, *(np.array(column) for column in zip(*rows, strict=True)))
+        for state in states:
+            yield from self._readings(state)
 
     def _readings(self, state: State) -> Iterator[Passed]:
         t_ns = self._epoch_ns + state.t_ns
@@ -256,25 +272,25 @@ class HandFlownSource(UnboundedSource):
         try:
             while not self._ending:
                 fresh = self.flight.until(int((time.monotonic() - begun) * self._options.pace * 1e9))
-                with self._lock:
-                    self._states += fresh
-                    if fresh:
-                        self._lock.notify_all()
+                if fresh:
+                    self.passing.give(partial(self._state_of, fresh))
+                for state in fresh:
+                    self._states.put(state, topic=self._intake.topic)
                 time.sleep(STEP_S)
         except BaseException as error:  # raised when frames are requested
-            with self._lock:
-                self._error = error
-                self._lock.notify_all()
+            self._error = error
 
     def _gathered(self, most_s: float) -> list[State]:
         """States of about a tenth of a second, or as many as wait, at most those of `most_s`."""
         enough = max(round(BATCH_S * self._options.state_hz), 1)
-        with self._lock:
-            self._lock.wait_for(lambda: len(self._states) >= enough or self._error is not None, 2 * BATCH_S)
-            if self._error is not None:
-                raise self._error
-            most = max(int(most_s * self._options.state_hz), 1)
-            found, self._states = self._states[:most], self._states[most:]
+        found: list[State] = []
+        while len(found) < max(int(most_s * self._options.state_hz), 1):
+            state = self._states.get(2 * BATCH_S if len(found) < enough and not self._ending else 0.0)
+            if state is None:
+                break
+            found.append(state)
+        if self._error is not None:
+            raise self._error
         return found
 
     def _over(self) -> bool:
@@ -290,6 +306,18 @@ class HandFlownSource(UnboundedSource):
                 f"the radars are {behind_s:.1f} s behind the flight; give fidelity=thesis or rate_hz= to keep up",
                 kind="behind",
             )
+
+    def keep_up(self) -> None:
+        """From now on leave out what is later than the limit."""
+        self._states.lag_s = self.lag_s
+
+    def stop(self) -> None:
+        """End the flight; the frames of what was flown still come."""
+        self._states.lag_s = None
+        self._ending = True
+        if self._thread is not None:
+            self._thread.join(1.0)
+        super().stop()
 
     def close(self) -> None:
         """Land: end the thread, let go of terminal and network."""

@@ -19,7 +19,19 @@ from ullage.config import Fidelity
 from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError
 from ullage.ports.dynamic_scene import DynamicScene
-from ullage.ports.intake import GAP_NS, LATE_NS, PATIENCE_S, Clock, Counters, Log, Stamped, Stream, checked_pose, warn
+from ullage.ports.intake import (
+    GAP_NS,
+    LATE_NS,
+    PATIENCE_S,
+    Clock,
+    Counters,
+    LiveOptions,
+    Log,
+    Stamped,
+    Stream,
+    checked_pose,
+    warn,
+)
 from ullage.ports.pose_events import Feed, ModelPose, Notice, OtherModels
 from ullage.ports.protocol import Item, Passing, one_or_all
 from ullage.ports.radar_status import RadarStatus
@@ -28,11 +40,13 @@ from ullage.radar.live import LiveRadars
 from ullage.specs import RadarSpec, Rig, Spec
 from ullage.world.scene import Scene
 
+PIECE_S = 0.25
+"""Most that is simulated at once of what waits, so that what follows does not get old meanwhile [s]."""
 BEHIND_S = 1.0
 """Report frames that are later than the newest pose by more than this, on the simulator's clock [s]."""
 
 
-class RadarOptions(Spec):
+class RadarOptions(LiveOptions):
     """Options of radars that are simulated along poses from outside."""
 
     model: str = Field("", description="name of the model that carries the radars; none: the only one that has some")
@@ -94,11 +108,13 @@ class UnboundedSource(ABC):
         duration_s: how long to receive, by the clock of the frames [s]; None: until the peer ends.
         log: takes lines for the user; None: they become warnings.
         topic: name under which its messages are counted.
+        lag_s: what is later than this is left out [s]; None: nothing is.
     """
 
-    def __init__(self, duration_s: float | None, log: Log | None, *, topic: str) -> None:
+    def __init__(self, duration_s: float | None, log: Log | None, *, topic: str, lag_s: float | None = None) -> None:
         self._log, self._logged_s = log or warn, dict[str, float]()
-        self._duration_s = duration_s
+        self._duration_s, self.lag_s = duration_s, lag_s
+        self._stopping = self._keeps_up = False
         self._count_with(Counters(), topic)
 
     def _count_with(self, counters: Counters, topic: str) -> None:
@@ -136,6 +152,22 @@ class UnboundedSource(ABC):
     def map(self) -> None:
         """None: simulators hold no maps."""
         return None
+
+    @property
+    def behind_s(self) -> float:
+        """How long the oldest pose waits already [s]."""
+        return self._behind_s()
+
+    def _behind_s(self) -> float:
+        return 0.0
+
+    def keep_up(self) -> None:
+        """From now on leave out what is later than the limit."""
+        self._keeps_up = self.lag_s is not None
+
+    def stop(self) -> None:
+        """End the stream after what has come so far; safe to call from another thread."""
+        self._stopping = True
 
     @abstractmethod
     def close(self) -> None:
@@ -188,7 +220,7 @@ class CosimulationSource(UnboundedSource):
         self.rig = rig
         self.passing = Passing()
         self._status = RadarStatus("radars", late_s=BEHIND_S)
-        super().__init__(options.duration_s, log, topic=options.model or "poses")
+        super().__init__(options.duration_s, log, topic=options.model or "poses", lag_s=options.lag_s)
         self._publish = isinstance(options, CosimulationOptions) and options.publish
         self._radars = LiveRadars(
             scene, rig, fidelity=options.fidelity, max_bounces=options.max_bounces, seed=options.seed,
@@ -201,6 +233,7 @@ class CosimulationSource(UnboundedSource):
         self._newest_ns: int | None = None  # of the simulator's clock
         self._offset_ns = 0  # added to the simulator's clock
         self._done_ns = -1  # frames exist up to this time
+        self._gap = False  # the last poses were left out
         self._radars.advance(0, scene.bounds.mean(0), (0, 0, 0, 1))  # loads and compiles while nobody waits
         self._radars.reset()
         self._feed = join()
@@ -215,9 +248,12 @@ class CosimulationSource(UnboundedSource):
         """Give frames as they fall due, at most about `chunk` of each radar at a time."""
         try:
             while not self._over():
+                stopping = self._stopping
                 poses = self._bunch(chunk)
                 self.counters.report()
-                if not poses:
+                if not poses and stopping:
+                    return
+                if not poses or (not stopping and self._left_out(poses)):
                     continue
                 found = self._radars.advance(
                     [pose.t_ns for pose in poses],
@@ -232,9 +268,22 @@ class CosimulationSource(UnboundedSource):
                     if self._publish:
                         self._feed.give(found, self._offset_ns)
                     yield found
+                if stopping and self._behind_s() < PIECE_S:
+                    return
         finally:
             self._report()
             self.close()
+
+    def _left_out(self, poses: list[Stamped[ModelPose]]) -> bool:
+        """Whether frames of these poses would come later than the limit allows; the next ones leave a gap then."""
+        if self._keeps_up and self._behind_s(poses[-1].t_ns) > (self.lag_s or np.inf):
+            self._gap = True
+            return True
+        if self._gap:
+            self._gap = False
+            count = self._radars.skip(poses[0].t_ns)
+            self.counters.drop("frames", "lost", f"more than {self.lag_s:g} s late", count=count)
+        return False
 
     def close(self) -> None:
         """Close sockets and end threads."""
@@ -244,7 +293,7 @@ class CosimulationSource(UnboundedSource):
     def _bunch(self, chunk: int) -> list[Stamped[ModelPose]]:
         """Return the waiting poses of at most one chunk; an empty list if none came for a while."""
         poses: list[Stamped[ModelPose]] = []
-        length_ns = int(max(chunk - 1, 1) / self._fastest_hz * 1e9)
+        length_ns = int(min(max(chunk - 1, 1) / self._fastest_hz, PIECE_S) * 1e9)
         while not poses or poses[-1].t_ns - poses[0].t_ns < length_ns:
             found = self._next(0.0 if poses else 0.5)
             if found is None:
@@ -308,10 +357,17 @@ class CosimulationSource(UnboundedSource):
         for others in early:
             self._update_scene(others)
 
-    def _behind_s(self) -> float:
-        """Return the delay of the frames behind the newest pose, on the simulator's clock [s]."""
-        newest = getattr(self._feed, "newest_ns", 0)
-        return max((newest + self._offset_ns - self._done_ns) * 1e-9, 0.0) if newest else 0.0
+    def _behind_s(self, done_ns: int | None = None) -> float:
+        """Return the delay of the frames behind the newest pose [s].
+
+        Poses that wait unread count by this machine's clock, the others by the simulator's.
+
+        Args:
+            done_ns: frames exist up to this time; None: those made so far.
+        """
+        newest, waits_s = getattr(self._feed, "newest_ns", 0), getattr(self._feed, "behind_s", 0.0)
+        done_ns = self._done_ns if done_ns is None else done_ns
+        return max((newest + self._offset_ns - done_ns) * 1e-9 if newest else 0.0, waits_s)
 
     def _report_status(self, found: dict[str, Frames]) -> None:
         """Count the frames for `/diagnostics`; the feed publishes the status if it can."""
@@ -325,8 +381,11 @@ class CosimulationSource(UnboundedSource):
 
     def _log_if_behind(self) -> None:
         if (behind_s := self._behind_s()) > BEHIND_S:
+            limit = (
+                f"frames later than {self.lag_s:g} s are left out" if self._keeps_up else "every frame is still made"
+            )
             self._log_throttled(
-                f"cannot keep up: {behind_s:.1f} s behind the simulator, which goes on; every frame is still made "
+                f"cannot keep up: {behind_s:.1f} s behind the simulator, which goes on; {limit} "
                 "(fidelity=thesis, fewer radars or a lower rate_hz cost less)",
                 kind="behind",
             )

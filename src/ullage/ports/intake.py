@@ -2,7 +2,7 @@
 
 Every live port and every reader of recordings uses these objects. None of them knows a middleware.
 
-- `Inbox` holds messages between the thread that receives and the one that uses them, and bounds their number.
+- `Inbox` holds what one thread gives another, and bounds its number, bytes and age; `LiveOptions` set the age.
 - `Counters` counts the messages that were used and dropped, by topic and reason, and reports them.
 - `Clock` gives times that rise, although the source's clock may step or a single stamp may be wrong.
 - `checked_pose` accepts finite positions and unit quaternions only; `echo_range` ranges within a sensor's limits.
@@ -22,9 +22,11 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from ullage.arrays import Floats
 from ullage.errors import InputError, UllageWarning
+from ullage.specs import Spec
 
 Log = Callable[[str], None]
 """Takes one line for a person."""
@@ -58,6 +60,19 @@ REPORT_S = 5.0
 RARELY_S = 60.0
 PATIENCE_S = 5.0
 """Wall time between two log lines of the same kind, and before the first line that nothing comes [s]."""
+
+
+class LiveOptions(Spec):
+    """Options of every live source."""
+
+    lag: float = Field(
+        2.0, ge=0, description="frames later than so many seconds are left out, the oldest first; 0: none are"
+    )
+
+    @property
+    def lag_s(self) -> float | None:
+        """The limit [s]; None: nothing is left out."""
+        return self.lag or None
 
 
 def warn(text: str) -> None:
@@ -456,52 +471,102 @@ def echo_range(range_m: ArrayLike, low_m: float, high_m: float) -> Floats:
     return np.where((measured >= low_m) & (measured <= high_m), measured, np.inf)
 
 
+class _Waiting(NamedTuple, Generic[ItemT]):
+    item: ItemT
+    topic: str
+    size: int
+    number: int
+    came_s: float
+
+
 class Inbox(Generic[ItemT]):
-    """Messages that one thread takes off the network and another one uses; bounded in number and in bytes.
+    """The queue between two threads of a live run, bounded in number, bytes and time.
+
+    What finds no room, or waits longer than the limit, is dropped and counted, the oldest first: so what is used is of
+    now, however slow the user is.
 
     Args:
-        counters: count the messages that find no room.
-        most: messages that may wait.
+        counters: count what is dropped.
+        most: items that may wait.
         most_bytes: their size together [bytes].
+        lag_s: an item waits no longer than this [s]; None: as long as there is room.
+        received: count what comes too, unless somebody else does.
+        now: gives the time [s].
     """
 
-    def __init__(self, counters: Counters, *, most: int = 200_000, most_bytes: int = 256 * 2**20) -> None:
-        self._counters, self._most, self._most_bytes = counters, most, most_bytes
-        self._waiting: deque[tuple[ItemT, int]] = deque()
+    def __init__(
+        self, counters: Counters, *, most: int = 200_000, most_bytes: int = 256 * 2**20, lag_s: float | None = None,
+        received: bool = True, now: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        self._counters, self._most, self._most_bytes, self._now = counters, most, most_bytes, now
+        self.lag_s, self._received = lag_s, received
+        self.lost = 0
+        """What was dropped so far."""
+        self._first: deque[_Waiting[ItemT]] = deque()
+        self._waiting: deque[_Waiting[ItemT]] = deque()
         self._bytes = 0
         self._changed = threading.Condition()
 
-    def put(self, item: ItemT, *, topic: str = "", size: int = 0) -> None:
-        """Add a message; it is lost where no room is left.
+    def put(self, item: ItemT, *, topic: str = "", size: int = 0, count: int = 1, first: bool = False) -> None:
+        """Add an item; the oldest ones are dropped where no room is left.
 
         Args:
             item: what came.
-            topic: for the counts; empty: news of the connection, which is never lost.
-            size: of the message [bytes].
+            topic: for the counts; empty: news of the connection, which is never dropped.
+            size: of the item [bytes].
+            count: messages or frames that it stands for.
+            first: it overtakes what waits, but not others that are first.
         """
-        if topic:
-            self._counters.receive(topic)
+        if topic and self._received:
+            self._counters.receive(topic, count)
         with self._changed:
-            if topic and (len(self._waiting) >= self._most or self._bytes + size > self._most_bytes):
-                self._counters.drop(topic, "lost", "messages come faster than they are used")
-                return
-            self._waiting.append((item, size))
+            (self._first if first else self._waiting).append(_Waiting(item, topic, size, count, self._now()))
             self._bytes += size
+            while (len(self) > self._most or self._bytes > self._most_bytes) and self._drop_oldest():
+                pass
             self._changed.notify()
 
     def get(self, timeout_s: float) -> ItemT | None:
-        """The oldest message; None where none comes for so long."""
+        """The oldest item that has not waited too long; None where none comes for so long."""
         with self._changed:
-            if not self._waiting:
-                self._changed.wait_for(lambda: bool(self._waiting), timeout_s)
-            if not self._waiting:
-                return None
-            item, size = self._waiting.popleft()
-            self._bytes -= size
-            return item
+            if not len(self):
+                self._changed.wait_for(lambda: len(self) > 0, timeout_s)
+            while len(self):
+                found = (self._first or self._waiting).popleft()
+                self._bytes -= found.size
+                if not (found.topic and self.lag_s and self._now() - found.came_s > self.lag_s):
+                    return found.item
+                self._drop(found, f"waited longer than {self.lag_s:g} s")
+            return None
+
+    @property
+    def full(self) -> bool:
+        """Whether more than half of the room is taken."""
+        return 2 * len(self) > self._most or 2 * self._bytes > self._most_bytes
+
+    @property
+    def behind_s(self) -> float:
+        """How long the oldest item waits already [s]."""
+        with self._changed:
+            return self._now() - self._waiting[0].came_s if self._waiting else 0.0
+
+    def _drop_oldest(self) -> bool:
+        """Drop the oldest item that may be dropped; whether there was one."""
+        for line in (self._waiting, self._first):
+            for place, found in enumerate(line):
+                if found.topic:
+                    del line[place]
+                    self._bytes -= found.size
+                    self._drop(found, "messages come faster than they are used")
+                    return True
+        return False
+
+    def _drop(self, found: _Waiting[ItemT], cause: str) -> None:
+        self.lost += found.number
+        self._counters.drop(found.topic, "lost", cause, count=found.number)
 
     def __len__(self) -> int:
-        return len(self._waiting)
+        return len(self._first) + len(self._waiting)
 
 
 Placed = TypeVar("Placed")

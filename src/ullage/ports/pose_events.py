@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
 from ullage.data import Frames
-from ullage.ports.intake import Counters, checked_pose
+from ullage.ports.intake import Counters, Inbox, checked_pose
 
 Quat = tuple[float, float, float, float]
 Pose = tuple[tuple[float, float, float], Quat]
@@ -49,6 +49,10 @@ class Feed(Protocol):
     def next(self, timeout_s: float) -> ModelPose | OtherModels | Notice | None:
         """Return the next event, or None if none came within the timeout."""
 
+    @property
+    def behind_s(self) -> float:
+        """How long the oldest event waits already [s]."""
+
     def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
         """Publish frames; their time minus the offset is the simulator's time."""
 
@@ -63,6 +67,7 @@ class EventPeer(Protocol[Event_co]):
     """A peer on the simulator's network that gives events."""
 
     counters: Counters
+    events: Inbox[Any]
 
     def wait(self, timeout_s: float) -> Event_co | None:
         """Return the next event, or None if none came within the timeout."""
@@ -93,6 +98,11 @@ class EventFeed(ABC, Generic[Event_co]):
             if last is not None:
                 self._ready.append(last)
         return self._ready.popleft()
+
+    @property
+    def behind_s(self) -> float:
+        """How long the oldest event waits already [s]."""
+        return self._source.events.behind_s
 
     def close(self) -> None:
         """Close the sockets."""

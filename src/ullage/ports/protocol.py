@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -34,25 +35,31 @@ class Passed:
 
 
 class Passing:
-    """Messages that a live source receives besides frames, passed on to a taker as they come."""
+    """State and messages that a live source has besides frames, passed on to a taker as they come.
+
+    Safe to use from several threads.
+    """
 
     def __init__(self) -> None:
-        self._take: Callable[[Passed], None] | None = None
-        self._waiting: deque[Callable[[], Iterable[Passed]]] = deque(maxlen=1000)
+        self._take: Callable[[Passed | Trajectory], None] | None = None
+        self._waiting: deque[Callable[[], Iterable[Passed | Trajectory]]] = deque(maxlen=1000)
+        self._lock = threading.RLock()
 
-    def to(self, take: Callable[[Passed], None]) -> None:
-        """Pass messages to this taker from now on; the waiting ones go first."""
-        self._take = take
-        while self._waiting:
-            self.give(self._waiting.popleft())
+    def to(self, take: Callable[[Passed | Trajectory], None]) -> None:
+        """Pass items to this taker from now on; the waiting ones go first."""
+        with self._lock:
+            self._take = take
+            while self._waiting:
+                self.give(self._waiting.popleft())
 
-    def give(self, make: Callable[[], Iterable[Passed]]) -> None:
-        """Pass on the messages that `make` returns; it is called only once there is a taker."""
-        if self._take is None:
-            self._waiting.append(make)
-            return
-        for item in make():
-            self._take(item)
+    def give(self, make: Callable[[], Iterable[Passed | Trajectory]]) -> None:
+        """Pass on the items that `make` returns; it is called only once there is a taker."""
+        with self._lock:
+            if self._take is None:
+                self._waiting.append(make)
+                return
+            for item in make():
+                self._take(item)
 
 
 Item = Frames | Chunk | Trajectory | OccupancyMap | Detections | ObstacleSectors | Scene | Image | Passed

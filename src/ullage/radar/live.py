@@ -68,6 +68,23 @@ class LiveRadars:
         self._last: tuple[Longs, Floats, Floats] | None = None
         self._given = dict.fromkeys(self.sensors, 0)
 
+    def skip(self, t_ns: int) -> int:
+        """Leave out the frames that are due before the next pose, where they would come too late.
+
+        Args:
+            t_ns: time of the next pose [ns].
+
+        Returns:
+            Number of frames of all radars.
+        """
+        left_out = 0
+        for name in self.sensors if self._first_ns is not None else ():
+            count = len(self._due(name, t_ns - 1))
+            self._given[name] += count
+            left_out += count
+        self._last = None
+        return left_out
+
     def advance(self, t_ns: ArrayLike, position: ArrayLike, quat_xyzw: ArrayLike) -> dict[str, Frames]:
         """Take the body's next poses and give the frames that have fallen due, none of a radar where none has.
 

@@ -17,6 +17,8 @@ from rich.text import Text
 
 console = Console(stderr=False, soft_wrap=True)
 PLAIN_EVERY_S = 20.0
+LAG_S = 0.5
+"""A live run that is behind by less does not say so [s]."""
 
 
 def log(text: str, *, mark: str = "", style: str = "") -> None:
@@ -55,6 +57,7 @@ class ProgressBar:
     last_s: float
     rated: bool = False
     first: tuple[float, float] | None = None  # amount done at the first call, and its time [s]
+    lag: str = ""  # what is added to the title of a live run that cannot keep up
 
     def __call__(self, done: float) -> None:
         """Report the amount done, in the bar's unit."""
@@ -63,7 +66,7 @@ class ProgressBar:
         if not console.is_terminal and time.monotonic() - self.last_s > PLAIN_EVERY_S:
             self.last_s = time.monotonic()
             share = f"{100 * done / self.total:.0f} %" if self.total else f"{done:.0f} {self.unit}"
-            log(", ".join(filter(None, (f"{self.title}: {share}", forecast))))
+            log(", ".join(filter(None, (f"{self.title}: {share}", forecast, self.lag))))
 
     def _forecast(self, done: float) -> str:
         """Rate since the start and remaining time in words; nothing before the first unit is done."""
@@ -75,6 +78,18 @@ class ProgressBar:
             return ""
         left_s = timedelta(seconds=round((self.total - done) / rate))
         return f"{60 * rate:.3g} {self.unit}/min, {left_s} left"
+
+    def on_lag(self, behind_s: float, left_out: int) -> None:
+        """Show that a live run cannot keep up.
+
+        Args:
+            behind_s: how far map and image are behind [s].
+            left_out: frames that came too late so far.
+        """
+        parts = [f"{behind_s:.1f} s behind"] if behind_s > LAG_S else []
+        parts += [f"{left_out} frames left out"] if left_out else []
+        self.lag = ", ".join(parts)
+        self.bar.update(self.task, description=", ".join(filter(None, (self.title, self.lag))))
 
     def retitle(self, text: str) -> None:
         """Change the bar's title, as often as needed."""

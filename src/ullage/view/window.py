@@ -30,6 +30,9 @@ class WindowSink:
         InputError: there is no display.
     """
 
+    main_thread = True
+    """Window systems want to be drawn to from the main thread."""
+
     def __init__(self, figure: Figure | None = None) -> None:
         self._own = figure is None
         self.figure = figure or _window()

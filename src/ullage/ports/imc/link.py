@@ -14,12 +14,14 @@ from typing import Protocol
 from ullage.errors import UllageWarning
 from ullage.ports.imc.codec import NOBODY, Message, Packet, Parser, compile_kernels, encode, make, readable
 from ullage.ports.imc.table import Table, own
-from ullage.ports.intake import Counters, Log
+from ullage.ports.intake import Counters, Inbox, Log
 
 MOBILE_SENSOR, UAV = 7, 4
 NORMAL = 1
 REPORT, QUERY = 0, 1
-INBOX, INBOX_BYTES, OUTBOX_BYTES = 20_000, 256_000_000, 8_000_000
+INBOX, OUTBOX_BYTES = 20_000, 8_000_000
+AT_ONCE = 256
+"""Most packets that are used at once, so that what follows does not get old meanwhile."""
 TICK_S = 0.05
 
 
@@ -147,13 +149,11 @@ class Link:
         listens: bool = True, counters: Counters | None = None, most_waiting: int = INBOX,
     ):  # fmt: skip
         self.wire, self.me, self.table = wire, me, table or own()
-        self.listens, self._most_waiting = listens, most_waiting
+        self.listens = listens
         self._log = log or (lambda text: warnings.warn(text, UllageWarning, stacklevel=2))
         self.out = Outbox()
         self.counters = counters or Counters(self._log)
-        self._in: deque[Packet] = deque()
-        self._in_bytes = 0
-        self._lock = threading.Condition()
+        self.events: Inbox[Packet] = Inbox(self.counters, most=most_waiting, received=False)
         self._ending = False
         self._reported: set[str] = set()
         self._error: BaseException | None = None
@@ -192,13 +192,10 @@ class Link:
         self.listens = self.listens or listens
 
     def receive(self, timeout_s: float = 0.25) -> list[Packet]:
-        """Return the packets since the last call; wait for one until the timeout."""
-        with self._lock:
-            if not self._in and not self._ending:
-                self._lock.wait(timeout_s)
-            found = list(self._in)
-            self._in.clear()
-            self._in_bytes = 0
+        """Return the packets that wait, `AT_ONCE` at most; wait for one until the timeout."""
+        found: list[Packet] = []
+        while len(found) < AT_ONCE and (packet := self.events.get(0.0 if found or self._ending else timeout_s)):
+            found.append(packet)
         if self._error is not None:
             raise self._error
         return found
@@ -244,9 +241,7 @@ class Link:
         except BaseException as error:  # `receive` raises it
             self._error = error
         finally:
-            with self._lock:
-                self._ending = True
-                self._lock.notify_all()
+            self._ending = True
 
     def _loop(self) -> None:
         next_beat = next_announce = 0.0
@@ -274,18 +269,9 @@ class Link:
                 self.counters.drop(self.table.by_id[packet.id].name, "bad", "its bytes do not fit its fields")
         if not self.listens:
             return
-        full = False
-        with self._lock:
-            for packet in packets:
-                self._in.append(packet)
-                self._in_bytes += memory_bytes(packet)
-                while len(self._in) > self._most_waiting or self._in_bytes > INBOX_BYTES:
-                    oldest, full = self._in.popleft(), True
-                    self._in_bytes -= memory_bytes(oldest)
-                    self.counters.drop(oldest.name or f"message {oldest.id}", "lost", "messages come too fast")
-            if packets:
-                self._lock.notify_all()
-        if full:
+        for packet in packets:
+            self.events.put(packet, topic=packet.name or f"message {packet.id}", size=memory_bytes(packet))
+        if self.events.lost:
             self._once("full", "messages come faster than they are used; the oldest are dropped")
 
     def _pack(self, message: Message, entity: int = 255) -> bytes:

@@ -13,6 +13,7 @@ from ullage.config import Fidelity
 from ullage.errors import InputError, shown
 from ullage.ports.imc.geodetic import TRONDHEIM, Geodetic
 from ullage.ports.imc.table import Table, from_xml, own
+from ullage.ports.intake import LiveOptions
 from ullage.specs import RadarSpec, Rig, Spec
 
 PLACE = re.compile(r"(?:(tcp|udp)://([^/:\s]+)(?::(\d+))?/?)?")
@@ -72,7 +73,7 @@ class PlaceOptions(LinkOptions):
         return {a.strip(): b.strip() for a, _, b in pairs}
 
 
-class SourceOptions(PlaceOptions):
+class SourceOptions(PlaceOptions, LiveOptions):
     """Options of a source on the bus."""
 
     vehicle: str = Field(

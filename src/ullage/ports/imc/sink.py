@@ -32,6 +32,9 @@ class ImcSink:
         InputError: the place is not valid.
     """
 
+    sends = True
+    """Its messages leave this machine's process at once."""
+
     def __init__(self, place: str, options: SinkOptions, *, log: Log = warn) -> None:
         home = options.home()
         me = Identity(

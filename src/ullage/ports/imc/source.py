@@ -52,7 +52,8 @@ class ImcSource:
         self.passing = Passing()
         self._radars: Any = None
         self._seen: list[str] = []
-        self._behind = False
+        self._behind = self._stopping = False
+        self.lag_s, self._lost = options.lag_s, 0
         points, start = options.waypoints(), options.place_of_start()
         self._vehicle_s, self._frames_s = Covered(), Covered()
         if options.world:
@@ -152,6 +153,7 @@ class ImcSource:
         reported_s = time.monotonic()
         try:
             while True:
+                stopping = self._stopping
                 tracks, received = self._tracks()
                 yield from self._made(tracks, received)
                 self.counters.report()
@@ -162,7 +164,8 @@ class ImcSource:
                     flown = "the drone's odometry" if self._link.connected else "a controller"
                     self._log(f"waiting for {what if self._flight is None else flown}")
                 finished = self._backseat is not None and self._backseat.finished
-                if finished or self._over() or (self._link.finished and not received):
+                no_more = (self._link.finished or stopping) and not len(self._link.events)
+                if finished or self._over() or (no_more and (stopping or not received)):
                     if self._radars is None:
                         yield self._assembler.give(final=True)
                     return
@@ -181,6 +184,7 @@ class ImcSource:
             if number:
                 self._radars.reset()
             if poses:
+                self._skip_lost(poses[0].t_ns)
                 yield self._simulated(poses)
 
     def _tracks(self) -> tuple[list[list[Pose]], bool]:
@@ -215,6 +219,13 @@ class ImcSource:
         if self._backseat is not None:
             self._backseat.take(packet)
 
+    def _skip_lost(self, t_ns: int) -> None:
+        """Leave out the frames along poses that were dropped because they waited too long."""
+        if (lost := self._link.events.lost) > self._lost:
+            self._lost = lost
+            count = self._radars.skip(t_ns)
+            self.counters.drop("frames", "lost", f"more than {self.lag_s:g} s late", count=count)
+
     def _simulated(self, poses: list[Pose]) -> dict[str, Frames]:
         began = time.monotonic()
         out: dict[str, Frames] = self._radars.advance(
@@ -244,6 +255,20 @@ class ImcSource:
     def map(self) -> OccupancyMap | None:
         """None: the bus carries no maps."""
         return None
+
+    @property
+    def behind_s(self) -> float:
+        """How long the oldest message waits already [s]."""
+        return self._link.events.behind_s
+
+    def keep_up(self) -> None:
+        """From now on leave out what is later than the limit."""
+        self._link.events.lag_s = self.lag_s
+
+    def stop(self) -> None:
+        """End the stream after what has come so far; safe to call from another thread."""
+        self._link.events.lag_s = None
+        self._stopping = True
 
     def close(self) -> None:
         """Close sockets, end threads, and release a led vehicle."""

@@ -74,7 +74,7 @@ class Link:
         """Whether somebody takes the poses."""
         self._wire, self._log = wire, log
         self._mav = self.dialect.MAVLink(None)
-        self._inbox: Inbox[PoseMessage] = Inbox(self.counters, most=20_000)
+        self.events: Inbox[PoseMessage] = Inbox(self.counters, most=20_000)
         self._decoders: dict[Sender, Decoder] = {}
         self._questions: list[int] = []
         self._other_systems: set[int] = set()  # systems with an autopilot that is not ours
@@ -102,7 +102,7 @@ class Link:
     def wait(self, timeout_s: float) -> PoseMessage | None:
         """The next message that holds a pose; None where none came for so long."""
         self._check()
-        return self._inbox.get(timeout_s)
+        return self.events.get(timeout_s)
 
     def wait_heartbeat(self, timeout_s: float) -> None:
         """Wait for the first HEARTBEAT of the autopilot.
@@ -189,7 +189,7 @@ class Link:
         elif kind == "COMMAND_ACK":
             self._acknowledged(message)
         elif self.listens:
-            self._inbox.put(PoseMessage(kind, message), topic="", size=0)
+            self.events.put(PoseMessage(kind, message))
 
     def _heartbeat(self, message: Any, system: int, component: int) -> None:
         d, now = self.dialect, time.monotonic()

@@ -43,6 +43,9 @@ class MavlinkSink:
         MissingExtra: pymavlink or pyserial is not installed.
     """
 
+    sends = True
+    """Its messages leave this machine's process at once."""
+
     def __init__(self, place: str, options: SinkOptions, *, log: Log | None = None) -> None:
         self._options, self._log = options, log or warn
         self.link = open_link(place, options, role="sink", log=self._log)

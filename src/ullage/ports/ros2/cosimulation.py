@@ -50,6 +50,11 @@ class PoseFeed:
         self.newest_ns = 0
         self._peer.spin()
 
+    @property
+    def behind_s(self) -> float:
+        """How long the oldest message waits already [s]."""
+        return self._inbox.behind_s
+
     def next(self, timeout_s: float) -> ModelPose | Notice | None:
         """Return the next pose or notice, or None if none came within the timeout."""
         end = time.monotonic() + timeout_s

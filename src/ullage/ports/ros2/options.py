@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from ullage.ports.cosimulation import CosimulationOptions
+from ullage.ports.intake import LiveOptions
 from ullage.specs import Spec
 
 
@@ -36,7 +37,7 @@ class SinkOptions(NodeOptions):
     listeners: int = Field(0, ge=0, le=1000, description="wait for so many subscribers of /tf before the first message")
 
 
-class SourceOptions(NodeOptions):
+class SourceOptions(NodeOptions, LiveOptions):
     """Options of `ullage run ros2:`."""
 
     topics: str = Field("", description="RadarFrame, profile or Range topics, with commas; none: found by type")
@@ -49,7 +50,7 @@ class SourceOptions(NodeOptions):
     radar: str = Field("x4m05", description="preset of radars whose topics do not say what they are")
     relay: bool = Field(True, description="pass on what stands under imc/, to_imc/ and desired/")
     patience_s: float = Field(1.0, ge=0, le=60, description="how long frames wait for a late transform")
-    batch_s: float = Field(0.25, ge=0, le=10, description="how long frames are gathered before they are passed on")
+    batch_s: float = Field(0.02, ge=0, le=10, description="how long frames are gathered before they are passed on")
     duration_s: float | None = Field(None, gt=0, description="ends after this much of the frames' time")
     idle_s: float | None = Field(None, gt=0, description="ends when nothing came for so long")
 

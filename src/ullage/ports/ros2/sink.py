@@ -43,6 +43,9 @@ class Ros2Sink:
         MissingExtra: there is no rclpy.
     """
 
+    sends = True
+    """Its messages leave this machine's process at once."""
+
     def __init__(self, namespace: str, options: SinkOptions, *, peer: Peer | None = None) -> None:
         self._options = options
         self._peer = peer or Peer(namespace, options)

@@ -50,16 +50,19 @@ class Ros2Source:
         self._incoming = Incoming(options, self._log_throttled)
         self._peer = peer or Peer(namespace, options)
         self._namespace = "/" + namespace.strip("/")
+        self.lag_s = options.lag_s
         self._inbox: Inbox[tuple[str, Callable[..., None], tuple[Any, ...]]] = Inbox(self._incoming.counters)
         self._subscribed: set[str] = set()
-        self._closed = self._passed = False
+        self._closed = self._stopping = self._passed = False
         self._first_ns: int | None = None
         self._last_ns = 0
         self._searched_s = self._reported_s = 0.0
         self._given_s = time.monotonic()
         self._peer.listen("/tf", ros.TRANSFORMS, "transforms", self._taker("/tf", self._incoming.take_transforms))
         fixed = partial(self._incoming.take_transforms, fixed=True)
-        self._peer.listen("/tf_static", ros.TRANSFORMS, "latched", self._taker("/tf_static", fixed), depth=100)
+        self._peer.listen(
+            "/tf_static", ros.TRANSFORMS, "latched", self._taker("/tf_static", fixed, kept=True), depth=100
+        )
         self._peer.spin()
 
     @property
@@ -71,16 +74,20 @@ class Ros2Source:
         """Give frames as they come, at most `chunk` of each radar at once, until Ctrl-C, the given end, or `stop`."""
         try:
             while not (self._closed or self._over()):
+                stopping = self._stopping
                 self._find_topics()
                 end = time.monotonic() + self._options.batch_s
-                while (left := end - time.monotonic()) > 0 and not self._closed:
+                while (left := end - time.monotonic()) > 0 and not (self._closed or stopping):
                     self._take(min(left, 0.1))
+                self._take(0.0)
                 found = self._incoming.ready(chunk)
                 self._report()
                 if found:
                     self._count(found)
                     yield found
                     self._given_s = time.monotonic()  # the consumer may have taken long
+                elif stopping:
+                    return
                 elif time.monotonic() - self._given_s > PATIENCE_S:
                     self._log_throttled(self._why_nothing())
         finally:
@@ -110,9 +117,14 @@ class Ros2Source:
         """Return None: this source receives frames only."""
         return None
 
+    def keep_up(self) -> None:
+        """From now on leave out what is later than the limit."""
+        self._inbox.lag_s = self.lag_s
+
     def stop(self) -> None:
-        """End a stream that runs in another thread."""
-        self._closed = True
+        """End a stream that runs in another thread, after what has come so far."""
+        self._inbox.lag_s = None
+        self._stopping = True
 
     def close(self) -> None:
         """Leave the network."""
@@ -125,9 +137,14 @@ class Ros2Source:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _taker(self, topic: str, take: Callable[..., None], *first: Any) -> Callable[[bytes], None]:
-        """Return a callback that passes messages from rclpy's thread to the stream's."""
-        return lambda data: self._inbox.put((topic, take, (*first, data)), topic=topic, size=len(data))
+    @property
+    def behind_s(self) -> float:
+        """How long the oldest message waits already [s]."""
+        return self._inbox.behind_s
+
+    def _taker(self, topic: str, take: Callable[..., None], *first: Any, kept: bool = False) -> Callable[[bytes], None]:
+        """Return a callback that passes messages from rclpy's thread to the stream's; kept ones may wait for long."""
+        return lambda data: self._inbox.put((topic, take, (*first, data)), topic="" if kept else topic, size=len(data))
 
     def _take(self, timeout_s: float) -> None:
         found = self._inbox.get(timeout_s)
@@ -189,7 +206,7 @@ class Ros2Source:
             raise InputError(f"{topic} carries {kind}", where="topics", allowed=", ".join(takers))
         if kind == ros.FRAME:
             settings = f"{base}/settings"
-            taker = self._taker(settings, self._incoming.take_settings, settings)
+            taker = self._taker(settings, self._incoming.take_settings, settings, kept=True)
             self._peer.listen(settings, ros.SETTINGS, "latched", taker)
         self._peer.listen(
             topic, kind, "sensor", self._taker(topic, takers[kind], topic), depth=DEPTH, lost=partial(self._lost, topic)

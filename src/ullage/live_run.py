@@ -1,0 +1,398 @@
+"""The loop of a live run: frames are received, and obstacles found, apart from what may be slow with them.
+
+| thread | what it does |
+|---|---|
+| receiving | takes frames off the source, counts them, finds obstacles, hands both on |
+| one for each sink | gives it obstacles and state first, then frames and results in their order |
+| main | all other stages, such as map and image; Ctrl-C |
+
+A queue between two threads holds what is at most `lag_s` old: what cannot keep up leaves out the oldest frames, and
+counts them. Kernels release Python's lock, so a map that takes long holds no other thread up.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from ullage.data import Frames, gathered
+from ullage.ports import encode
+from ullage.ports.intake import Counters, Inbox, LiveOptions
+from ullage.ports.protocol import Passed
+from ullage.ports.publisher import is_present
+from ullage.processing.obstacles import ObstacleSectors, ObstacleStage
+from ullage.stop_signals import StopFlag
+
+Chunk = dict[str, Frames]
+POLL_S = 0.05
+"""How often the main thread looks for Ctrl-C while nothing comes [s]."""
+TOGETHER = 64
+"""Frames of a radar that the slow stages take at once, of those that wait."""
+STATUS_S = 1.0
+LATE_S = 1.0
+"""A map that is behind by more makes `/diagnostics` a warning [s]."""
+SWITCH_S = 0.001
+"""Longest that a thread keeps Python's lock while another one wants it; Python's own 5 ms add up [s]."""
+END_S = 5.0
+"""How long the source may take to end [s]."""
+
+
+class Delays:
+    """Distribution of delays, to a millisecond; its memory does not grow."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(10_001, np.int64)
+
+    def add(self, delay_s: float) -> None:
+        """Count one delay [s]."""
+        self._counts[min(max(round(delay_s * 1e3), 0), len(self._counts) - 1)] += 1
+
+    def __len__(self) -> int:
+        return int(self._counts.sum())
+
+    def within_s(self, share: float) -> float:
+        """Return the time within which such a share of all was done [s]; 0 where there was none."""
+        return float(np.searchsorted(np.cumsum(self._counts), share * len(self))) * 1e-3 if len(self) else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class LiveStatistics:
+    """How well a live run kept up."""
+
+    left_out: int = 0  # frames that came too late for map and image
+    unsent: tuple[tuple[str, int], ...] = ()  # sinks, and what came too late for each
+    left_out_s: float = 0.0  # received before the second Ctrl-C, and not used [s]
+    most_behind_s: float = 0.0  # greatest delay of map and image behind what was received [s]
+    obstacles: int = 0
+    obstacle_median_s: float = 0.0  # from the arrival of a frame until its obstacles were handed over [s]
+    obstacle_p99_s: float = 0.0
+    obstacle_age_p99_s: float = 0.0  # the same from the stamp of the frame, where that is of this machine's clock [s]
+
+    def lines(self) -> list[str]:
+        """Return what a person should know at the end."""
+        out = []
+        if self.left_out_s > 0:
+            out.append(f"{self.left_out_s:.1f} s of what was received are left out, as Ctrl-C came twice")
+        if self.left_out:
+            out.append(f"{self.left_out:,} frames came too late for map and image and were left out")
+        out += [f"{name}: {count:,} frames or results came too late and were left out" for name, count in self.unsent]
+        if self.most_behind_s >= LATE_S or self.left_out:
+            out.append(f"map and image were up to {self.most_behind_s:.1f} s behind")
+        if self.obstacles:
+            age = f", {1e3 * self.obstacle_age_p99_s:.0f} ms after its stamp" if self.obstacle_age_p99_s else ""
+            out.append(
+                f"obstacles: median {1e3 * self.obstacle_median_s:.0f} ms, 99 % within {1e3 * self.obstacle_p99_s:.0f} "
+                f"ms of their frame{age}"
+            )
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    item: Any
+    came_s: float
+
+
+class Count(Protocol):
+    """Counts what was received."""
+
+    frames: int
+
+    @property
+    def duration_s(self) -> float:
+        """Time that the frames cover [s]."""
+
+    def add(self, chunk: Chunk) -> None:
+        """Count a piece."""
+
+
+class _Lane:
+    """Gives items to one sink, in a thread of its own unless the sink needs the main one.
+
+    Args:
+        sink: takes them.
+        counters: count what is dropped.
+        lag_s: the limit of the queue; None: whoever puts must wait.
+        sent: called with an item of the front, and when its frame came, once the sink has it.
+    """
+
+    def __init__(self, sink: Any, counters: Counters, lag_s: float | None, sent: Callable[[Any, float], None]) -> None:
+        self.sink, self.name, self._sent = sink, type(sink).__name__, sent
+        self.queue: Inbox[_Piece] = Inbox(counters, lag_s=lag_s, received=False)
+        self.error: BaseException | None = None
+        self._closing = False
+        self._thread: threading.Thread | None = None
+        if not getattr(sink, "main_thread", False):
+            self._thread = threading.Thread(target=self._run, name=f"ullage {self.name}", daemon=True)
+            self._thread.start()
+
+    def put(self, item: Any, *, came_s: float = 0.0, count: int = 1, size: int = 0, first: bool = False) -> None:
+        if self.error is None:
+            self.queue.put(_Piece(item, came_s), topic=self.name, count=count, size=size, first=first)
+
+    def work_off(self, timeout_s: float = 0.0) -> None:
+        """Give the sink what waits."""
+        while (found := self.queue.get(timeout_s)) is not None:
+            self.sink.write(found.item)
+            if found.came_s:
+                self._sent(found.item, found.came_s)
+            timeout_s = 0.0
+
+    def finish(self) -> None:
+        """Give the sink all that waits, however old, and end the thread."""
+        self.queue.lag_s, self._closing = None, True
+        if self._thread is None:
+            self.work_off()
+        else:
+            self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while True:
+                closing = self._closing
+                self.work_off(0.0 if closing else POLL_S)
+                if closing:
+                    return
+        except BaseException as error:  # raised in the main thread
+            self.error = error
+
+
+class LiveLoop:
+    """One live run.
+
+    Args:
+        source: a live port.
+        stages: obstacles are found where frames are received; the others work in the main thread.
+        sinks: take frames and results; the caller closes them.
+        count: of what was received.
+    """
+
+    def __init__(self, source: Any, stages: Sequence[Any], sinks: Sequence[Any], count: Count) -> None:
+        self._source, self._count = source, count
+        self._first = [stage for stage in stages if isinstance(stage, ObstacleStage)]
+        self._later = [stage for stage in stages if not isinstance(stage, ObstacleStage)]
+        self._lag_s: float | None = getattr(source, "lag_s", LiveOptions().lag_s)
+        self.counters = Counters()
+        self._backlog: Inbox[_Piece] = Inbox(self.counters, lag_s=self._lag_s, received=False)
+        self._delays, self._ages = Delays(), Delays()
+        self._sends = any(getattr(sink, "sends", False) for sink in sinks)
+        self._lanes = [_Lane(sink, self.counters, self._lag_s, self._noting(sink)) for sink in sinks]
+        self.interrupted = False
+        self._received = threading.Event()  # no more frames come
+        self._abandoned = False
+        self._error: BaseException | None = None
+        self._held: Chunk | None = None  # does not go with the piece before it
+        self._working_s: float | None = None  # when the piece came that the slow stages have
+        self._newest_ns = 0
+        self._done_ns: int | None = None
+        self._most_behind_s = self._status_s = 0.0
+        self._told_lost = 0
+
+    @property
+    def behind_s(self) -> float:
+        """How old the oldest frame is that map and image lack [s]."""
+        now, since = time.monotonic(), self._working_s
+        waits_s = max(self._backlog.behind_s, now - since if since is not None else 0.0)
+        return waits_s + float(getattr(self._source, "behind_s", 0.0))
+
+    def run(
+        self, progress: Callable[[float], None] | None, on_lag: Callable[[float, int], None] | None
+    ) -> tuple[Any, ...]:
+        """Receive until the source ends or Ctrl-C; return what the stages gave at the end.
+
+        The first Ctrl-C ends the source, and what was received is worked off. The second one ends that too.
+        """
+        passing = self._source.passing
+        passing.to(lambda item: self._hand_on(item, first=True))
+        if (keep_up := getattr(self._source, "keep_up", None)) is not None:
+            keep_up()
+        thread = threading.Thread(target=self._receive, name="ullage receiving", daemon=True)
+        with _short_turns(), StopFlag(raises_at=3) as stop:
+            thread.start()
+            while self._goes_on(stop):
+                before = self._received.is_set()
+                if (chunk := self._next()) is None:
+                    if before:
+                        break
+                    continue
+                for stage in self._later:
+                    for item in stage.update(chunk):
+                        self._hand_on(item)
+                self._done(chunk)
+                if progress is not None:
+                    progress(self._count.duration_s)
+                if on_lag is not None:
+                    on_lag(self.behind_s, self._backlog.lost)
+            self._end(thread)
+            return self._finish()
+
+    def _goes_on(self, stop: StopFlag) -> bool:
+        """Whether frames are still used; hands the wish to end on to the source."""
+        for lane in self._lanes:
+            if lane.error is not None:
+                raise lane.error
+        if self._error is not None:
+            raise self._error
+        if stop.requested and not self.interrupted:
+            self.interrupted = True
+            self._backlog.lag_s = None
+            if (end := getattr(self._source, "stop", None)) is not None:
+                end()
+            else:
+                self._abandoned = True
+        return stop.count < 2
+
+    def _receive(self) -> None:
+        """Receive in a thread of its own: obstacles first, then hand the frames on."""
+        stream = self._source.stream()
+        try:
+            for chunk in stream:
+                if chunk:
+                    self._take(chunk)
+                if self._abandoned:
+                    break
+        except KeyboardInterrupt:
+            self.interrupted = True
+        except BaseException as error:
+            self._error = error
+        finally:
+            if hasattr(stream, "close"):
+                stream.close()
+            self._received.set()
+
+    def _take(self, chunk: Chunk) -> None:
+        came_s = time.monotonic()
+        for stage in self._first:
+            for item in stage.update(chunk):
+                self._hand_on(item, came_s=came_s)
+        count, size = sum(map(len, chunk.values())), sum(part.samples.nbytes for part in chunk.values())
+        self._count.add(chunk)
+        self._done_ns = self._done_ns if self._done_ns is not None else min(int(p.t_ns[0]) for p in chunk.values())
+        self._newest_ns = max(int(part.t_ns[-1]) for part in chunk.values())
+        for lane in self._lanes:
+            lane.put(chunk, count=count, size=size)
+        self._backlog.put(_Piece(chunk, came_s), topic="map and image", count=count, size=size)
+        while self._lag_s is None and not self._abandoned and self._full():
+            time.sleep(POLL_S)
+        self._report()
+
+    def _full(self) -> bool:
+        """Whether a queue that drops nothing has no room."""
+        return any(queue.full for queue in (self._backlog, *(lane.queue for lane in self._lanes if not lane.error)))
+
+    def _hand_on(self, item: Any, *, came_s: float = 0.0, first: bool = False) -> None:
+        """Hand an item to all sinks; obstacles and state overtake frames and maps."""
+        if came_s and not self._sends:
+            self._note(item, came_s)
+        for lane in self._lanes:
+            lane.put(item, came_s=came_s, first=first or came_s > 0)
+
+    def _noting(self, sink: Any) -> Callable[[Any, float], None]:
+        return self._note if getattr(sink, "sends", False) else lambda item, came_s: None
+
+    def _note(self, item: Any, came_s: float) -> None:
+        self._delays.add(time.monotonic() - came_s)
+        if isinstance(item, ObstacleSectors) and is_present(item.t_ns):
+            self._ages.add(time.time() - item.t_ns * 1e-9)
+
+    def _next(self) -> Chunk | None:
+        """Return what waits for the slow stages, as one piece; None where nothing does."""
+        for lane in self._lanes:
+            if getattr(lane.sink, "main_thread", False):
+                lane.work_off()
+        self._working_s = None
+        if (held := self._held) is None:
+            if (found := self._backlog.get(POLL_S)) is None:
+                return None
+            self._working_s, held = found.came_s, found.item
+        chunks, self._held = [held], None
+        while len(chunks) < TOGETHER and (after := self._backlog.get(0.0)) is not None:
+            if not _go_together(chunks[-1], after.item):
+                self._held = after.item
+                break
+            chunks.append(after.item)
+        return chunks[0] if len(chunks) == 1 else gathered(chunks)
+
+    def _done(self, chunk: Chunk) -> None:
+        self._done_ns = max(int(part.t_ns[-1]) for part in chunk.values())
+        self._most_behind_s = max(self._most_behind_s, self.behind_s)
+
+    def _report(self) -> None:
+        """Say once a second on `/diagnostics` how far map and image are behind."""
+        now = time.monotonic()
+        if now - self._status_s < STATUS_S:
+            return
+        self._status_s = now
+        behind_s, lost = self.behind_s, self._backlog.lost
+        late = behind_s > LATE_S or lost > self._told_lost
+        self._told_lost = lost
+        text = f"map and image are {behind_s:.1f} s behind" if late else "map and image keep up"
+        values = [
+            ("behind [s]", f"{behind_s:.3f}"),
+            ("frames", str(self._count.frames)),
+            ("frames left out", str(lost)),
+            ("obstacles: 99 % within [s]", f"{self._delays.within_s(0.99):.3f}"),
+        ]
+        data = encode.diagnostics_message(self._newest_ns, int(late), "ullage: run", text, values)
+        self._hand_on(Passed(self._newest_ns, "/diagnostics", encode.DIAGNOSTICS, data), first=True)
+
+    def _end(self, thread: threading.Thread) -> None:
+        """End the source where it has not ended by itself."""
+        if not self._received.is_set():
+            self._abandoned = True
+            if (close := getattr(self._source, "close", None)) is not None:
+                close()
+        thread.join(END_S)
+        self._source.passing.to(lambda item: None)
+
+    def _finish(self) -> tuple[Any, ...]:
+        if self._error is not None and not self._abandoned:
+            raise self._error
+        results = tuple(item for stage in (*self._first, *self._later) for item in stage.finish())
+        for item in results:
+            self._hand_on(item)
+        for lane in self._lanes:
+            lane.finish()
+            if lane.error is not None:
+                raise lane.error
+        return results
+
+    def statistics(self) -> LiveStatistics:
+        """How well the run kept up."""
+        rest = len(self._backlog) > 0 or self._held is not None
+        left_out_s = (self._newest_ns - (self._done_ns or 0)) * 1e-9 if rest else 0.0
+        unsent = tuple((lane.name, lane.queue.lost) for lane in self._lanes if lane.queue.lost)
+        return LiveStatistics(
+            self._backlog.lost, unsent, left_out_s, self._most_behind_s, len(self._delays), self._delays.within_s(0.5),
+            self._delays.within_s(0.99), self._ages.within_s(0.99),
+        )  # fmt: skip
+
+
+def _go_together(before: Chunk, after: Chunk) -> bool:
+    """Whether two pieces can be one: the radars in both have the same settings, and their clock rises."""
+    both = [(before[name], after[name]) for name in before.keys() & after.keys()]
+    return all(
+        (a.spec, a.unit, a.poses is None, a.track, a.calibration)
+        == (b.spec, b.unit, b.poses is None, b.track, b.calibration)
+        and np.array_equal(a.range_m, b.range_m)
+        and a.t_ns[-1] < b.t_ns[0]
+        for a, b in both
+    )
+
+
+@contextmanager
+def _short_turns() -> Iterator[None]:
+    """Let threads pass Python's lock on sooner."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
