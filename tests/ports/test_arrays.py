@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import pickle
+import warnings
 import zipfile
 from pathlib import Path
 
@@ -110,6 +111,31 @@ def test_a_folder_takes_the_keys_with_a_track_file_or_a_track_of_their_own(tmp_p
     frames = opened(tmp_path)
     assert frames.track is None
     np.testing.assert_allclose(frames.believed.position, PLACE)
+
+
+@pytest.mark.parametrize("share", [0.001, 0.03, 0.2, 0.6])
+def test_saturation_is_warned_of_at_any_share(tmp_path: Path, share: float) -> None:
+    smooth = np.random.default_rng(0).normal(size=(N, 400)).cumsum(axis=1).astype(np.float32)
+    limit = float(np.quantile(abs(smooth), 1 - share))
+    cut = {"samples": np.clip(smooth, -limit, limit), "ranges_m": 1 + 0.009 * np.arange(400)}
+    with pytest.warns(ul.UllageWarning, match=rf"{100 * share:.2g} % of all samples lie at the limit"):
+        opened(write(tmp_path / "cut.npz", **cut))
+
+
+def test_coarse_and_constant_samples_are_not_called_saturated(tmp_path: Path) -> None:
+    rng, axis = np.random.default_rng(0), {"ranges_m": 1 + 0.009 * np.arange(400)}
+    for k, samples in enumerate((np.rint(rng.normal(size=(N, 400)).cumsum(axis=1) / 9), np.ones((N, 400)))):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            opened(write(tmp_path / f"{k}.npz", samples=samples, **axis))
+
+
+def test_real_samples_of_no_known_radar_ask_for_it(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.npz", samples=np.ones((N, BINS)), center_hz=None)
+    with pytest.raises(ul.InputError, match=r"real samples without center_hz: of which radar\?.*preset= one of x4m05"):
+        ul.open(path)
+    assert opened(path, preset="x4m05-8ghz").spec.center_hz == 8.748e9
+    assert opened(Path(f"{path}?preset=x4m05-8ghz&mount={{yaw_deg: 90}}")).spec.mount.yaw_deg == 90
 
 
 def test_an_unknown_band_is_assumed_and_said_or_given(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from pathlib import Path
 
@@ -251,11 +252,58 @@ def test_tracks_cut_or_damaged_anywhere(tmp_path_factory: pytest.TempPathFactory
         assert all(len(track) for track in tracks.values())
 
 
-@pytest.mark.parametrize("missing", ["mocap.csv", "radar.out"])
-def test_half_a_rail_is_refused(rail: Path, missing: str) -> None:
-    (rail / missing).unlink()
+def test_a_track_alone_is_refused(rail: Path) -> None:
+    (rail / "radar.out").unlink()
     with pytest.raises(ul.InputError, match=r"mocap\.csv"):
         ul.open(rail)
+
+
+def test_a_log_alone_gives_frames_without_poses(rail: Path) -> None:
+    (rail / "mocap.csv").unlink()
+    with pytest.warns(ul.UllageWarning, match=r"no track \(mocap\.csv"):
+        frames = ul.open(rail).frames()
+    alone = ul.open(rail / "radar.out").frames()
+    for one in (frames, alone):
+        assert isinstance(one, ul.Frames)
+        assert (one.samples.shape, one.poses, one.track) == ((40, 400), None, None)
+    assert isinstance(ul.detect(alone), ul.Detections)
+
+
+@pytest.mark.parametrize(("kind", "tail"), [(0x1001, b""), (0x1102, bytes(8))])
+def test_the_whole_configuration_message_may_stand_in_front(rail: Path, kind: int, tail: bytes) -> None:
+    raw, known = (rail / "radar.out").read_bytes(), read_log(rail / "radar.out")
+    (rail / "radar.out").write_bytes(struct.pack(">HH", kind, 1) + raw[: CONFIG.size] + tail + raw[CONFIG.size :])
+    got = read_log(rail / "radar.out")
+    np.testing.assert_array_equal(got.scans, known.scans)
+    np.testing.assert_array_equal(got.range_m, known.range_m)
+    assert got.spec == known.spec
+
+
+def test_scans_of_a_p452_as_json(tmp_path: Path) -> None:
+    scans = np.random.default_rng(0).integers(-999, 999, (5, 40))
+    rows = [[0.02 * k, scan.tolist()] for k, scan in enumerate(scans)]
+    path = tmp_path / "scans-1.json"
+    path.write_text(json.dumps({"scan_start": 20014, "scan_end": 22454, "scans": rows}))
+    frames = ul.open(path).frames()
+    assert isinstance(frames, ul.Frames)
+    np.testing.assert_array_equal(frames.samples, scans)
+    np.testing.assert_array_equal(frames.t_ns, 20_000_000 * np.arange(5))
+    assert frames.range_m[0] == pytest.approx(299792458 / 2 * (20014e-12 - 10e-9))
+    for text, words in (
+        ("{", "damaged"), ("{}", "scan_start"), (json.dumps({"scan_start": 1, "scans": [[0, [1]]]}), r"shape \(1, 1\)")
+    ):  # fmt: skip
+        path.write_text(text)
+        with pytest.raises(ul.InputError, match=words):
+            ul.open(path)
+
+
+def test_exports_without_rows_type_and_name_are_read_alike(tmp_path: Path) -> None:
+    text = motive(np.arange(5) / 100, np.arange(15.0).reshape(5, 3))
+    (tmp_path / "new.csv").write_text(text)
+    (tmp_path / "old.csv").write_text(text.replace("1.23", "1.22").replace(",Type,", ",,").replace(",Name,", ",,"))
+    new, old = (read_tracks(tmp_path / name) for name in ("new.csv", "old.csv"))
+    assert new.keys() == old.keys() == {"Radar"}
+    np.testing.assert_array_equal(old["Radar"].position, new["Radar"].position)
 
 
 def arrays(scans: np.ndarray, **changes: object) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""Recordings of any radar as plain arrays: `.npz` files as `numpy.savez` writes them.
+"""Recordings of any radar as plain arrays: `.npz` files as `numpy.savez` writes them, MATLAB's `.mat`, HDF5's `.h5`.
 
 - `samples` (n, b): complex baseband, or real RF samples.
 - `times_s` or `times_ns` (n): time of each frame [s] or [ns].
@@ -28,6 +28,7 @@ from ullage.arrays import Floats, Longs
 from ullage.data import UNEVEN, Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.geometry import C0
+from ullage.ports import containers
 from ullage.ports.protocol import mend_clock, warn_of_saturation
 from ullage.ports.tracks import good_poses
 from ullage.specs import RadarSpec
@@ -39,8 +40,9 @@ WANTED = "samples (n, b), times_s or times_ns (n), ranges_m (b)"
 PICKLE = "a Python pickle: not opened, because it can run code"
 CONVERT = "plain arrays: convert it with numpy.savez in a program that trusts the file; docs/recordings.md"
 PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
-LIKE = {True: "x4m05", False: "pulson440"}
-"""Preset whose carrier and bandwidth are assumed, by whether the samples are complex."""
+LIKE = "x4m05"
+"""Preset whose carrier and bandwidth are assumed for complex samples."""
+OTHERS = (*containers.MATLAB, *containers.HDF5)
 BAND = ("center_hz", "bandwidth_hz")
 MOST_S, MOST_M, MOST_BYTES = 9e9, 1e6, 4_000_000_000
 
@@ -75,6 +77,8 @@ def load(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
     Raises:
         InputError: it is no `.npz` file, is damaged, holds a pickle, or unpacks to more than 4 GB or 200 times itself.
     """
+    if path.suffix.lower() in OTHERS:
+        return containers.load(path, names, most_bytes=MOST_BYTES)
     try:
         refuse_pickle(path)
         with zipfile.ZipFile(path) as packed:
@@ -94,7 +98,9 @@ def load(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
 
 
 def names_in(path: Path) -> frozenset[str]:
-    """Names of the arrays in an `.npz` file; none where it is no such file."""
+    """Names of the arrays in a file; none where it is no such file."""
+    if path.suffix.lower() in OTHERS:
+        return containers.names_in(path)
     try:
         with zipfile.ZipFile(path) as packed:
             return frozenset(name.removesuffix(".npy") for name in packed.namelist())
@@ -108,10 +114,10 @@ def read_npz(path: str | Path, *, preset: str | None = None) -> Arrays:
     Args:
         path: the `.npz` file.
         preset: name of the radar's preset, or its YAML file. None: the file says carrier and bandwidth. Otherwise
-            those of the X4M05 are assumed for complex samples, of the PulsON 440 for real ones, with a warning.
+            those of the X4M05 are assumed for complex samples, with a warning.
 
     Raises:
-        InputError: a key is missing, or shapes and values do not fit together.
+        InputError: a key is missing, shapes and values do not fit together, or samples are real and of no known radar.
     """
     path = Path(path)
     entries = load(path, KEYS)
@@ -174,7 +180,11 @@ def _band(entries: dict[str, NDArray[Any]], preset: str | None, path: Path) -> t
         return RadarSpec.preset(preset), stated
     if len(stated) == 2:
         return RadarSpec(name="npz"), stated
-    base = RadarSpec.preset(LIKE[entries["samples"].dtype.kind == "c"], range_zero_m=None)
+    missing = " and ".join(name for name in BAND if name not in stated)
+    if entries["samples"].dtype.kind != "c":
+        raise InputError(f"real samples without {missing}: of which radar?", where=path,
+                         allowed=f"these keys, or preset= one of {', '.join(RadarSpec.names())}")  # fmt: skip
+    base = RadarSpec.preset(LIKE, range_zero_m=None)
     rest = " and ".join(f"{name} {getattr(base, name):g}" for name in BAND if name not in stated)
     what = f"{path}: {rest} of the preset {base.name} assumed; the file does not say (give preset=)"
     warnings.warn(what, UllageWarning, stacklevel=5)

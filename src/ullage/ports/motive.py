@@ -67,9 +67,13 @@ def _check_header(line: str, path: Path) -> float:
 
 
 def _rigid_bodies(head: list[str], path: Path) -> Columns:
-    """Name and the seven columns, rotation then position, of each rigid body; one name may come twice."""
-    rows = {cells[1]: cells for cells in (line.split(",") for line in head[:-1]) if len(cells) > 2 and cells[1]}
-    kinds, names = rows.get("Type", []), rows.get("Name", [])
+    """Name and the seven columns, rotation then position, of each rigid body; one name may come twice.
+
+    The kinds stand in the first row of cells and the names in the next; 1.23 also labels them Type and Name.
+    """
+    rows = [cells for cells in (line.split(",") for line in head[1:-2]) if len(cells) > 2]
+    first = next((k for k, cells in enumerate(rows) if "Rigid Body" in cells), len(rows))
+    kinds, names = (*rows[first : first + 2], [], [])[:2]
     what, axes = head[-2].split(","), head[-1].split(",")
     out: list[tuple[str, dict[tuple[str, str], int]]] = []
     for k, (kind, name, part, axis) in enumerate(zip(kinds, names, what, axes, strict=False)):

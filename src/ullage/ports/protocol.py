@@ -68,6 +68,9 @@ Item = Frames | Chunk | Trajectory | OccupancyMap | Detections | ObstacleSectors
 MOST_JUMPS, SHARE_OF_JUMPS = 3, 0.1
 """Steps of a clock that may go back: so many, or such a share of all."""
 
+COARSEST = 8
+"""Steps of the samples' lattice within their range: fewer do not show whether a limit was reached."""
+
 
 @runtime_checkable
 class Source(Protocol):
@@ -185,10 +188,22 @@ def mend_clock(t_ns: NDArray[np.int64], *, where: str | Path) -> NDArray[np.int6
 
 
 def warn_of_saturation(samples: NDArray[Any], path: Path) -> None:
-    """Warn where samples stay at the greatest value of the recording for three bins in a row: an echo never does."""
-    size = np.abs(samples)
-    full = (size == size.max()) & (size > 8 * np.median(size))
-    rows = (full[:, 2:] & full[:, 1:-1] & full[:, :-2]).any(axis=1)
+    """Warn where samples stay at the greatest value of the recording for three bins in a row, and pile up there.
+
+    An echo passes its greatest value in one bin. Coarse samples may repeat it, but not more often than the values
+    below; a converter's limit holds everything that lies beyond. So the share of saturated samples does not matter.
+    """
+    size = np.abs(np.stack([samples.real, samples.imag] if np.iscomplexobj(samples) else [samples]))
+    limit = float(size.max())
+    known = np.unique(size.ravel()[:: max(1, size.size // 100_000)])
+    step = float(np.diff(known).min()) if len(known) > 1 else limit
+    width = max(limit / 16, step)
+    near = int(((size >= limit - width) & (size < limit)).sum())
+    full = size == limit
+    if limit <= COARSEST * step or full.sum() <= near * step / width:
+        return
+    rows = (full[:, :, 2:] & full[:, :, 1:-1] & full[:, :, :-2]).any(axis=(0, 2))
     if rows.any():
-        what = f"{int(rows.sum())} of {len(size)} scans are saturated, first scan {int(np.argmax(rows))}"
-        warnings.warn(f"{path}: {what}; their strongest echoes are cut off", UllageWarning, stacklevel=4)
+        what = f"{int(rows.sum())} of {len(rows)} scans are saturated, first scan {int(np.argmax(rows))}"
+        share = f"{100 * full.mean():.2g} % of all samples lie at the limit"
+        warnings.warn(f"{path}: {what}; {share}, and the strongest echoes are cut off", UllageWarning, stacklevel=4)

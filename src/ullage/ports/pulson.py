@@ -1,10 +1,12 @@
-"""PulsON 440 logs, `radar.out`: one configuration, then range scans in packets [TDSR-MRM].
+"""PulsON 440 logs, `radar.out`: one configuration, then range scans in packets [TDSR-MRM]; and P452 scans as JSON.
 
-Scans are kept to the last sample as the radar gave them (int32, in its own counts); dropped packets leave zeros.
+The configuration is bare (32 bytes), or the whole message that sets it (36) or confirms it (44). Scans are kept to the
+last sample as the radar gave them (int32, in its own counts); dropped packets leave zeros.
 """
 
 from __future__ import annotations
 
+import json
 import struct
 import warnings
 from dataclasses import dataclass
@@ -20,11 +22,15 @@ from ullage.geometry import C0
 from ullage.ports.arrays import load
 from ullage.ports.protocol import mend_clock, warn_of_saturation
 from ullage.specs import RadarSpec
+from ullage.untrusted import reading, regular_size
 
 STEP_S = 61e-12
 LEAD_S = 10e-9
 CONFIG = struct.Struct(">IiiHH4H4BBBBB")
+MESSAGES = {0x1001: (4, 36), 0x1102: (4, 44)}
+"""MRM_SET_CONFIG_REQUEST and MRM_GET_CONFIG_CONFIRM: where the configuration starts in them, and their length."""
 SCAN_INFO = 0xF201
+JSON, MOST_JSON_BYTES = "P452 scans: scan_start [ps], scans [[t_s, [samples]], ...]", 400_000_000
 PACKET = np.dtype({
     "names": ["kind", "message", "t_ms", "here", "total", "index", "packets", "samples"],
     "formats": [">u2", ">u2", ">u4", ">u2", ">u4", ">u2", ">u2", (">i4", (350,))],
@@ -53,24 +59,52 @@ def read_log(path: str | Path) -> Log:
         raw = path.read_bytes()
     except OSError as error:
         raise InputError(f"cannot read: {error.strerror}", where=path) from None
-    if len(raw) < CONFIG.size + PACKET.itemsize:
+    at, front = MESSAGES.get(int.from_bytes(raw[:2], "big"), (0, CONFIG.size))
+    if len(raw) < front + PACKET.itemsize:
         raise InputError(f"{len(raw)} bytes hold no scan", where=path, allowed="a PulsON 440 MRM log")
-    start_ps, _, _, integration = CONFIG.unpack(raw[: CONFIG.size])[1:5]
+    start_ps, _, _, integration = CONFIG.unpack_from(raw, at)[1:5]
     if not (6 <= integration <= 15 and -500_000 <= start_ps <= 500_000):
         raise InputError(
             f"starts at {start_ps} ps with integration index {integration}",
             where=path,
             allowed="a PulsON 440 MRM log: -500000 .. 500000 ps, index 6 .. 15",
         )
-    whole, rest = divmod(len(raw) - CONFIG.size, PACKET.itemsize)
-    packets = np.frombuffer(raw, PACKET, whole, CONFIG.size)
+    whole, rest = divmod(len(raw) - front, PACKET.itemsize)
+    packets = np.frombuffer(raw, PACKET, whole, front)
     if rest:
         _warn(path, f"cut within packet {whole}; the {whole} before are used")
     scans, t_ms = _assemble(packets, path)
     t_ns = mend_clock((t_ms - t_ms[0]) * 1_000_000, where=path)
     warn_of_saturation(scans, path)
-    range_m = C0 / 2 * (start_ps * 1e-12 - LEAD_S) + C0 / 2 * STEP_S * np.arange(scans.shape[1])
+    range_m = _ranges(start_ps, scans.shape[1])
     return Log(scans, t_ns, range_m, _spec(range_m, t_ns, integration))
+
+
+def _ranges(start_ps: float, bins: int) -> Floats:
+    """Range of each bin (b) of scans that start so long after the pulse [m]."""
+    return np.asarray(C0 / 2 * (start_ps * 1e-12 - LEAD_S + STEP_S * np.arange(bins)))
+
+
+def read_scans(path: str | Path) -> Log:
+    """Read scans of a P452 as JSON: `scan_start` and `scan_end` [ps], and `scans`, each [time [s], [samples]].
+
+    The pulse integration is not in the file; that of the preset stands in the spec.
+
+    Raises:
+        InputError: it is no such file, or its scans differ in length.
+    """
+    path = Path(path)
+    regular_size(path, most_bytes=MOST_JSON_BYTES, allowed=JSON)
+    with reading(path):
+        tree = json.loads(path.read_bytes())
+        start_ps, rows = float(tree["scan_start"]), tree["scans"]
+        times, scans = np.array([row[0] for row in rows], float), np.array([row[1] for row in rows], np.int32)
+    if scans.ndim != 2 or scans.shape[1] < 8 or not abs(start_ps) <= 500_000 or not (np.abs(times) < 9e9).all():
+        raise InputError(f"scans of shape {scans.shape} from {start_ps:g} ps", where=path, allowed=JSON)
+    t_ns = mend_clock(np.rint((times - times[0]) * 1e9).astype(np.int64), where=path)
+    warn_of_saturation(scans, path)
+    range_m = _ranges(start_ps, scans.shape[1])
+    return Log(scans, t_ns, range_m, _spec(range_m, t_ns, None))
 
 
 ARRAYS = ("scans", "t_ms", "range_m", "scan_start_ps", "scan_stop_ps", "scan_res", "pii")
@@ -104,16 +138,10 @@ def read_arrays(path: str | Path) -> Log:
     return Log(scans, t_ns, range_m, _spec(range_m, t_ns, int(pii.ravel()[0])))
 
 
-def _spec(range_m: Floats, t_ns: Longs, integration: int) -> RadarSpec:
+def _spec(range_m: Floats, t_ns: Longs, integration: int | None) -> RadarSpec:
     fps = 1e9 / float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 46.0
-    return RadarSpec.preset(
-        "pulson440",
-        bins=len(range_m),
-        range_start_m=float(range_m[0]),
-        fps=fps,
-        pulses_per_step=2**integration,
-        iterations=1,
-    )
+    counts = {} if integration is None else {"pulses_per_step": 2**integration, "iterations": 1}
+    return RadarSpec.preset("pulson440", bins=len(range_m), range_start_m=float(range_m[0]), fps=fps, **counts)
 
 
 def _assemble(packets: NDArray[np.void], path: Path) -> tuple[NDArray[np.int32], Longs]:

@@ -18,13 +18,14 @@ from ullage.ports.guarded import GuardedSource, only_files
 from ullage.ports.live import LISTED, LIVE, Address
 from ullage.ports.protocol import Item, Sink, Source, WholeSource
 from ullage.ports.tracked import open_tracked
-from ullage.untrusted import read_yaml, reading, regular_size
+from ullage.specs import MountSpec
+from ullage.untrusted import load_yaml, read_yaml, reading, regular_size
 
 Made = TypeVar("Made")
 SOURCES = (
-    ".mcap, .bag, .db3, .zarr, DUNE's .lsf or .lsf.gz, an X4 .dat, an .npz of plain arrays, "
-    "or a folder with frames.mcap, metadata.yaml, or radar.out or radar.npz and a track (mocap.csv, track.csv, "
-    "track.txt)"
+    ".mcap, .bag, .db3, .zarr, DUNE's .lsf or .lsf.gz, an X4 .dat, a PulsON .out or .json, arrays in .npz, .mat "
+    "or .h5, or a folder with frames.mcap, metadata.yaml, or radar.out (.npz, .mat, .h5, .dat, .json) and a track "
+    "(mocap.csv, track.csv, .txt, .ulg, .bin, .nmea, .mcap, .bag)"
 )
 SINKS = f".mcap, a folder, .zarr, .lsf, .lsf.gz, a map: .yaml, .bt, .ot, .ply; or live: {LISTED}"
 LOGS = (".lsf", ".lsf.gz")
@@ -35,9 +36,18 @@ FILES = {
     ".zarr": ("store", "ZarrSource"),
     ".dat": ("x4", "X4Source"),
     ".npz": ("tracked", "open_arrays"),
+    ".mat": ("tracked", "open_arrays"),
+    ".h5": ("tracked", "open_arrays"),
+    ".hdf5": ("tracked", "open_arrays"),
+    ".out": ("tracked", "open_log"),
+    ".json": ("tracked", "open_log"),
     ".bag": ("ros2.bags", "RosbagSource"),
     ".db3": ("ros2.bags", "RosbagSource"),
 }
+RADARS = (".out", ".npz", ".mat", ".h5", ".dat", ".json")
+"""Kinds of `radar.*` in a folder with a track."""
+BESIDE = ("track", "topic", "datum", "mount")
+"""Options of a track beside a recording."""
 MAPS = {
     ".yaml": ("maps", "write_map_server", "read_map_server"),
     ".pgm": ("maps", "write_map_server", "read_map_server"),
@@ -51,15 +61,18 @@ def open(target: str | Path, **options: Any) -> Source:
     """Open a recording of any kind, or a live port.
 
     Args:
-        target: a `.mcap` file, a run's or rosbag2 folder, DUNE's `.lsf` or `.lsf.gz`, an X4 `.dat`, an `.npz` of plain
-            arrays, a folder with radar.out or radar.npz and a track, or a live port as `scheme:place?key=value`.
-        **options: of that kind: X4 takes fps and range_start_m; an `.npz` takes preset and mount (a MountSpec), and so
-            does a folder with a track.
+        target: a `.mcap` file, a run's or rosbag2 folder, DUNE's `.lsf` or `.lsf.gz`, an X4 `.dat`, a PulsON `.out`,
+            arrays in `.npz`, `.mat` or `.h5`, a folder with one of these as radar.* and a track, or a live port as
+            `scheme:place?key=value`; options of a file may follow it in the same way.
+        **options: of that kind: X4 takes fps and range_start_m; arrays take preset and mount (a MountSpec). Every file
+            of a radar takes track, the file of its track, with topic (in a bag), datum (of fixes) and mount.
 
     Raises:
         InputError: it is missing, of unknown kind, or damaged; the methods of the source raise it too.
     """
     path = _path_of(target, SOURCES)
+    if not os.path.exists(path) and os.path.exists(name := str(target).partition("?")[0]):
+        path, options = Path(name), _written_options(str(target)) | options
     if not os.path.exists(path):
         if address := Address.of(target, **options):
             return address.source()
@@ -73,6 +86,15 @@ def reads(path: Path) -> bool:
     """Whether a reader of recordings takes such a name: a folder, or a file by its suffix."""
     known = (*FILES, *LOGS, *(name for name in plugins.names("ullage.sources") if name.startswith(".")))
     return os.path.isdir(path) or path.name.lower().endswith(known)
+
+
+def _written_options(target: str) -> dict[str, Any]:
+    """The options after a file's name, `file?key=value&key=value`, as numbers, text or groups."""
+    given = Address.of(f"file:{target}")
+    values = {} if given is None else {k: load_yaml(text, where=target) for k, text in given.options.items()}
+    if isinstance(values.get("mount"), dict):
+        values["mount"] = MountSpec(**values["mount"])
+    return values
 
 
 def _path_of(target: str | Path, allowed: str) -> Path:
@@ -101,6 +123,8 @@ def _opened(path: Path, options: dict[str, Any]) -> Source:
 
         return open_log(path, options)
     if path.suffix.lower() in FILES:
+        if options.get("track"):
+            return _on_track(path, options)
         return _open_file(path, options)
     reader: Callable[..., Source] | None = plugins.load("ullage.sources", path.suffix.lower())
     if reader is not None:
@@ -285,8 +309,13 @@ def with_options(make: Callable[..., Made], path: Path, options: dict[str, Any])
 def _open_folder(folder: Path, options: dict[str, Any]) -> Source:
     from ullage.ports.ros2.bags import open_mcap
 
-    if (folder / "radar.out").exists() or (folder / "radar.npz").exists():
-        return with_options(open_tracked, folder, options)
+    radars = [folder / f"radar{kind}" for kind in RADARS if (folder / f"radar{kind}").exists()]
+    if len(radars) > 1:
+        names = " and ".join(one.name for one in radars)
+        raise InputError(f"two radar recordings, {names}", where=folder, allowed="one of them")
+    if radars:
+        regular_size(radars[0])
+        return _on_track(radars[0], options)
     if (folder / "frames.mcap").exists():
         return with_options(open_mcap, folder / "frames.mcap", options)
     if any(folder.glob("*.db3")):
@@ -297,6 +326,15 @@ def _open_folder(folder: Path, options: dict[str, Any]) -> Source:
     if len(bags) == 1:
         return with_options(open_mcap, bags[0], options)
     raise InputError("no recording in this folder", where=folder, allowed=SOURCES)
+
+
+def _on_track(path: Path, options: dict[str, Any]) -> Source:
+    """Open the recording of a radar and put it on its track."""
+    beside = {name: options[name] for name in BESIDE if name in options}
+    own = {name: value for name, value in options.items() if name not in BESIDE}
+    if FILES[path.suffix.lower()][1] == "open_arrays" and "mount" in options:
+        own["mount"] = options["mount"]  # for poses in the file itself
+    return open_tracked(path, _open_file(path, own), **beside)
 
 
 def _open_file(path: Path, options: dict[str, Any]) -> Source:

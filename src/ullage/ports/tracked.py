@@ -1,33 +1,37 @@
-"""Recordings of one radar with its track: a folder, or plain arrays with both."""
+"""Recordings of radars with their track: a folder or two files, or plain arrays with both; logs without one."""
 
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ullage.arrays import Floats, Longs
-from ullage.data import Frames, Trajectory
+from ullage.data import Frames, Trajectory, sensors_of
 from ullage.errors import InputError, UllageWarning
+from ullage.ports.a121 import holds_sessions, read_sessions
 from ullage.ports.arrays import Arrays, names_in, read_npz, refuse_pickle
 from ullage.ports.motive import read_tracks
-from ullage.ports.protocol import WholeSource
-from ullage.ports.pulson import read_arrays, read_log
+from ullage.ports.protocol import Source, WholeSource
+from ullage.ports.pulson import Log, read_arrays, read_log, read_scans
 from ullage.ports.survey import Survey, read_survey
 from ullage.ports.tracks import read_bodies
+from ullage.ports.vehicle_logs import read_dataflash, read_nmea, read_ulog
 from ullage.specs import MountSpec
+from ullage.untrusted import reading
 
-LOGS = ("radar.out", "radar.npz")
-TRACKS = ("mocap.csv", "track.csv", "track.txt", "track.tum")
-"""Names of the radar's track in a folder with radar.out or radar.npz."""
+BAGS = (".mcap", ".bag", ".db3")
+TRACKS = ("mocap.csv", *(f"track{kind}" for kind in (".csv", ".txt", ".tum", ".ulg", ".bin", ".nmea", *BAGS)))
+"""Names of the radar's track in a folder with its recording."""
 
 
 class RailSource(WholeSource):
     """Radar recording with the track of the radar and surveyed reflectors, if any.
 
     Args:
-        frames: of the radar.
+        frames: of each radar.
         path: of the body.
         reflectors: places of reflectors (r, 3), for comparison [m].
         survey: reflectors that may settle clock and range, from `reflectors.csv`; None: there is no such file.
@@ -35,10 +39,10 @@ class RailSource(WholeSource):
     """
 
     def __init__(
-        self, frames: Frames, *, path: Trajectory, reflectors: Floats, survey: Survey | None = None,
+        self, frames: list[Frames], *, path: Trajectory, reflectors: Floats, survey: Survey | None = None,
         floor_z_m: float | None = None,
     ) -> None:  # fmt: skip
-        super().__init__({frames.sensor: frames}, path=path)
+        super().__init__({one.sensor: one for one in frames}, path=path)
         self._reflectors = reflectors
         self.survey, self.floor_z_m = survey, floor_z_m
 
@@ -48,7 +52,7 @@ class RailSource(WholeSource):
 
 
 def open_arrays(path: Path, *, preset: str | None = None, mount: MountSpec | None = None) -> WholeSource:
-    """Open an `.npz` file: a PulsON log as arrays by its keys, else the documented keys of any radar.
+    """Open named arrays (`.npz`, `.mat`, `.h5`): a PulsON log or an A121 session by its keys, else those of any radar.
 
     Args:
         path: the file.
@@ -56,73 +60,104 @@ def open_arrays(path: Path, *, preset: str | None = None, mount: MountSpec | Non
         mount: of the radar on the body whose poses the file holds.
 
     Raises:
-        InputError: as `read_npz` and `read_arrays`.
+        InputError: as `read_npz`, `read_arrays` and `read_sessions`.
     """
-    arrays = _arrays(path, preset)
+    refuse_pickle(path)
+    names = names_in(path)
+    if holds_sessions(names):
+        return WholeSource(read_sessions(path, mount=mount))
+    arrays = _of_log(read_arrays(path)) if "scans" in names else read_npz(path, preset=preset)
     frames = _frames(arrays, arrays.track, mount, path)
     return WholeSource({frames.sensor: frames}, path=arrays.track or arrays.poses)
 
 
-def open_tracked(folder: Path, *, preset: str | None = None, mount: MountSpec | None = None) -> RailSource:
-    """Open a folder with radar.out or radar.npz and a track, as if both clocks had started together.
+def open_log(path: Path) -> WholeSource:
+    """Open a PulsON log alone, `.out`, or P452 scans as `.json`: frames without poses, for fits and detection.
 
-    `calibrate` finds the offsets.
+    Raises:
+        InputError: as `read_log` and `read_scans`.
+    """
+    log = read_scans(path) if path.suffix.lower() == ".json" else read_log(path)
+    frames = _frames(_of_log(log), None, None, path)
+    return WholeSource({frames.sensor: frames})
+
+
+def open_tracked(
+    path: Path, radar: Source, *, track: str | Path = "", topic: str = "", datum: str = "",
+    mount: MountSpec | None = None,
+) -> WholeSource:  # fmt: skip
+    """Put a radar recording on a track, as if both clocks had started together; `calibrate` finds the offsets.
 
     Args:
-        folder: holds one radar recording and one track.
-        preset: of the radar, where radar.npz does not say carrier and bandwidth.
+        path: file of the radar; its folder may hold the track, and surveyed reflectors.
+        radar: the same, opened.
+        track: file of the track; none: the one in the folder, by its name.
+        topic: of the track in a bag; none: the only one there.
+        datum: origin of fixes, `latitude,longitude[,height]`; none: the first fix, with a warning.
         mount: of the radar on the body that the track follows.
 
     Raises:
-        InputError: a file is missing or cannot be read, or there are two recordings or two tracks.
+        InputError: a file cannot be read, there are two tracks, or the track is of one pose.
     """
-    both = [name for name in LOGS if (folder / name).exists()]
-    if len(both) > 1:
-        raise InputError("two radar recordings", where=folder, allowed="radar.out or radar.npz, not both")
-    arrays = _log(folder / "radar.out") if both == ["radar.out"] else _arrays(folder / "radar.npz", preset)
-    there = [name for name in TRACKS if (folder / name).exists()]
-    inside = arrays.track or arrays.poses
-    if inside is not None:
-        there.append("radar.npz")
-    if len(there) > 1:
-        raise InputError(f"two tracks, {' and '.join(there)}", where=folder, allowed="one of " + ", ".join(TRACKS))
-    survey = read_survey(folder / "reflectors.csv") if (folder / "reflectors.csv").exists() else None
-    tracks = {"radar": inside} if inside is not None else read_bodies(folder / (there[0] if there else TRACKS[0]))
+    folder = path.parent
+    found, inside = sensors_of(radar.frames()), radar.trajectory()
+    there = [Path(track)] if track else [folder / name for name in TRACKS if (folder / name).exists()]
+    if len(there) + (inside is not None) > 1:
+        names = [one.name for one in there] + [path.name] * (inside is not None)
+        raise InputError(f"two tracks, {' and '.join(names)}", where=folder, allowed="one of " + ", ".join(TRACKS))
+    if not there and inside is None:
+        warnings.warn(f"{folder}: no track ({', '.join(TRACKS)}), so frames have no poses", UllageWarning, stacklevel=5)
+        return WholeSource({one.sensor: one for one in found})
+    tracks = {"radar": inside} if inside is not None else _read(there[0], topic=topic, datum=datum)
     name = _radar_body(tracks)
-    frames = _frames(arrays, arrays.track if arrays.poses is not None else tracks[name], mount, folder)
+    if len(tracks[name]) < 2:
+        raise InputError("a track of one pose", where=there[0] if there else folder, allowed="2 or more")
+    survey = read_survey(folder / "reflectors.csv") if (folder / "reflectors.csv").exists() else None
     marks = read_tracks(folder / "reflector.csv") if (folder / "reflector.csv").exists() else {}
     points = [np.median(track.position, axis=0) for key, track in marks.items() if key != name]
-    floor_z_m = 0.0 if there == ["mocap.csv"] else None  # Motive's ground plane is set on the floor
-    return RailSource(
-        frames, path=tracks[name], reflectors=np.array(points).reshape(-1, 3), survey=survey, floor_z_m=floor_z_m
-    )
+    placed = found if inside is not None else [_beside(one, tracks[name], mount, folder) for one in found]
+    floor_z_m = 0.0 if [one.name for one in there] == ["mocap.csv"] else None  # Motive's ground plane is on the floor
+    reflectors = np.array(points).reshape(-1, 3)
+    return RailSource(placed, path=tracks[name], reflectors=reflectors, survey=survey, floor_z_m=floor_z_m)
 
 
-def _log(path: Path) -> Arrays:
-    log = read_log(path)
+def _read(path: Path, *, topic: str, datum: str) -> dict[str, Trajectory]:
+    """Track of each body by name, by the suffix of the file."""
+    kind = path.suffix.lower()
+    if not path.exists():
+        raise InputError("no such track", where=path, allowed="a file")
+    with reading(path):
+        if kind == ".ulg":
+            return {"radar": read_ulog(path)}
+        if kind == ".bin":
+            return {"radar": read_dataflash(path)}
+        if kind == ".nmea":
+            return {"radar": read_nmea(path, datum=datum)}
+        if kind in BAGS:
+            from ullage.ports.ros2.bags import read_track
+
+            return {"radar": read_track(path, topic=topic, datum=datum)}
+        return read_bodies(path)
+
+
+def _of_log(log: Log) -> Arrays:
     return Arrays(log.scans.astype(np.float32), log.range_m, log.t_ns, log.spec, None, None)
 
 
-def _arrays(path: Path, preset: str | None) -> Arrays:
-    """The arrays of a file by either set of keys."""
-    refuse_pickle(path)
-    if "scans" not in names_in(path):
-        return read_npz(path, preset=preset)
-    log = read_arrays(path)
-    return Arrays(log.scans.astype(np.float32), log.range_m, log.t_ns, log.spec, None, None)
+def _beside(frames: Frames, track: Trajectory, mount: MountSpec | None, where: Path) -> Frames:
+    """Frames of any radar with a track of another clock, as if both clocks had started together."""
+    spec = frames.spec.but(mount=mount) if mount else frames.spec
+    sensor, t_ns = track.mounted(spec.mount.body_from_sensor()), frames.t_ns - frames.t_ns[0] + track.t_ns[0]
+    return replace(frames, spec=spec, t_ns=t_ns, poses=_held(sensor, t_ns, where), track=sensor)
 
 
 def _frames(arrays: Arrays, track: Trajectory | None, mount: MountSpec | None, where: Path) -> Frames:
-    """Frames with the poses of the arrays, or with a track of another clock, as if both clocks had started together."""
+    """Frames with the poses of the arrays, or with their track of another clock."""
     spec = arrays.spec.but(mount=mount) if mount else arrays.spec
-    name, turn = "pulson" if spec.name == "pulson440" else "radar", spec.mount.body_from_sensor()
-    t_ns, poses, sensor = arrays.t_ns, None, None
-    if track is not None:
-        t_ns, sensor = t_ns - t_ns[0] + track.t_ns[0], track.mounted(turn)
-        poses = _held(sensor, t_ns, where)
-    elif arrays.poses is not None:
-        poses = arrays.poses.mounted(turn)
-    return Frames(arrays.samples, arrays.range_m, t_ns, spec, poses, sensor=name, unit="normalised", track=sensor)
+    name = "pulson" if spec.name == "pulson440" else "radar"
+    poses = None if arrays.poses is None else arrays.poses.mounted(spec.mount.body_from_sensor())
+    frames = Frames(arrays.samples, arrays.range_m, arrays.t_ns, spec, poses, sensor=name, unit="normalised")
+    return frames if track is None else _beside(frames, track, None, where)
 
 
 def _held(track: Trajectory, t_ns: Longs, where: Path) -> Trajectory:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, Parser, encode, make
 from ullage.ports.imc.encode import BODY
-from ullage.ports.imc.geodetic import Geodetic
 from ullage.ports.imc.relay import LOCAL
 from ullage.ports.imc.table import own
 

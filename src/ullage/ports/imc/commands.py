@@ -12,8 +12,8 @@ from typing import Any, Protocol
 
 from ullage.arrays import Floats
 from ullage.flight.live import Wish
+from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import Message, Packet, make
-from ullage.ports.imc.geodetic import Geodetic
 from ullage.ports.intake import Log
 from ullage.ports.ned import SWAP
 

@@ -10,9 +10,10 @@ from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.errors import UllageWarning
 from ullage.geometry import invert
+from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc import radars
 from ullage.ports.imc.codec import Message, make
-from ullage.ports.imc.geodetic import Geodetic, poses_along, state_of
+from ullage.ports.imc.geodetic import poses_along, state_of
 from ullage.ports.imc.link import Entity
 from ullage.ports.imc.options import MessageOptions
 from ullage.ports.protocol import Item

@@ -7,7 +7,6 @@ exactly, through earth-centred coordinates [WGS84].
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -17,57 +16,8 @@ import numpy as np
 from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.geometry import matrix_quat, quat_matrix, quat_rpy, rpy_quat
+from ullage.ports.geodetic import Geodetic
 from ullage.ports.ned import FLIP, SWAP
-
-MAJOR_M, FLATTENING = 6_378_137.0, 1 / 298.257223563
-ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
-
-
-@dataclass(frozen=True, slots=True)
-class Geodetic:
-    """A point on or near the earth."""
-
-    lat_rad: float
-    lon_rad: float
-    height_m: float = 0.0  # over the ellipsoid
-
-    @classmethod
-    def degrees(cls, lat_deg: float, lon_deg: float, height_m: float = 0.0) -> Geodetic:
-        """From latitude and longitude in degrees."""
-        return cls(math.radians(lat_deg), math.radians(lon_deg), height_m)
-
-    @property
-    def earth_centred(self) -> Floats:
-        """Place (3) in the frame that turns with the earth [m]."""
-        sin = math.sin(self.lat_rad)
-        normal = MAJOR_M / math.sqrt(1 - ECCENTRICITY2 * sin * sin)
-        side = (normal + self.height_m) * math.cos(self.lat_rad)
-        up = (normal * (1 - ECCENTRICITY2) + self.height_m) * sin
-        return np.array([side * math.cos(self.lon_rad), side * math.sin(self.lon_rad), up])
-
-    @property
-    def earth_from_ned(self) -> Floats:
-        """Rotation (3, 3) from north, east, down here to the earth-centred frame."""
-        sin, cos = math.sin(self.lat_rad), math.cos(self.lat_rad)
-        sin_lon, cos_lon = math.sin(self.lon_rad), math.cos(self.lon_rad)
-        return np.array([
-            [-sin * cos_lon, -sin_lon, -cos * cos_lon],
-            [-sin * sin_lon, cos_lon, -cos * sin_lon],
-            [cos, 0.0, -sin],
-        ])  # fmt: skip
-
-    def moved(self, ned_m: Floats) -> Geodetic:
-        """Return the point at this offset north, east and down [m]."""
-        x, y, z = self.earth_centred + self.earth_from_ned @ np.asarray(ned_m, float)
-        side = math.hypot(x, y)
-        lat, height = math.atan2(z, side * (1 - ECCENTRICITY2)), 0.0
-        for _ in range(6):  # contracts by a factor of 300 a round
-            sin = math.sin(lat)
-            normal = MAJOR_M / math.sqrt(1 - ECCENTRICITY2 * sin * sin)
-            height = side * math.cos(lat) + z * sin - MAJOR_M * math.sqrt(1 - ECCENTRICITY2 * sin * sin)
-            lat = math.atan2(z, side * (1 - ECCENTRICITY2 * normal / (normal + height)))
-        return Geodetic(lat, math.atan2(y, x), height)
-
 
 TRONDHEIM = Geodetic.degrees(63.4185, 10.4009)
 """Origin of a world without a geodetic place: the campus of the thesis."""

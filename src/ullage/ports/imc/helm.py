@@ -9,9 +9,10 @@ from typing import Any, Protocol
 from ullage.arrays import Floats
 from ullage.flight.live import Steered, Wish
 from ullage.ports.drone import Guided
+from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import NOBODY, Packet, make
 from ullage.ports.imc.commands import Commands
-from ullage.ports.imc.geodetic import Geodetic, Pose, state_of
+from ullage.ports.imc.geodetic import Pose, state_of
 from ullage.ports.imc.link import Link
 from ullage.ports.intake import Log
 

@@ -11,7 +11,8 @@ from pydantic import Field
 
 from ullage.config import Fidelity
 from ullage.errors import InputError, shown
-from ullage.ports.imc.geodetic import TRONDHEIM, Geodetic
+from ullage.ports.geodetic import Geodetic
+from ullage.ports.imc.geodetic import TRONDHEIM
 from ullage.ports.imc.table import Table, from_xml, own
 from ullage.ports.intake import LiveOptions
 from ullage.specs import RadarSpec, Rig, Spec

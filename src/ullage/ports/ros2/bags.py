@@ -1,27 +1,101 @@
-"""Read bags of other programs: ROS 1's `.bag` and rosbag2's sqlite3 by `rosbags`, and MCAP without RadarFrame."""
+"""Read bags of other programs: ROS 1's `.bag` and rosbag2's sqlite3 by `rosbags`, and MCAP without RadarFrame.
+
+A bag may hold radars (`RosbagSource`), or the track of a radar that recorded elsewhere (`read_track`).
+"""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
 from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import DamageWarning, InputError, UllageWarning
+from ullage.geometry import matrix_quat
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions, encode
 from ullage.ports import messages as ros
 from ullage.ports.protocol import one_or_all
 from ullage.ports.replay import McapSource
-from ullage.ports.ros2.incoming import Incoming
+from ullage.ports.ros2.incoming import Incoming, stamp_ns
 from ullage.ports.ros2.options import SourceOptions
+from ullage.ports.vehicle_logs import Pose, track_of_fixes, track_of_poses
 
 BATCH = 256
 """Messages between two looks at which frames have their poses."""
-POSES = (ros.TRANSFORMS, ros.ODOMETRY)
+FIX = "sensor_msgs/msg/NavSatFix"
+TRACKS = (
+    ros.TRANSFORMS,
+    ros.ODOMETRY,
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    FIX,
+)
 OLD_NAMES = {"tf/msg/tfMessage": ros.TRANSFORMS}
+
+
+class Bag:
+    """Topics and messages of a bag.
+
+    Args:
+        path: `.bag`, `.db3`, or rosbag2's folder.
+
+    Raises:
+        InputError: the file is not a bag or is damaged.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.parent if path.suffix == ".db3" and (path.parent / "metadata.yaml").exists() else path
+        self.kinds = self._listed_kinds()
+
+    @staticmethod
+    def of(path: Path) -> Bag:
+        """Return the bag of a file, by its suffix."""
+        return McapBag(path) if path.suffix.lower() == ".mcap" else Bag(path)
+
+    def listed(self) -> str:
+        """Return every topic with its type, for messages to the user."""
+        return ", ".join(f"{name} ({kind})" for name, kind in self.kinds.items()) or "the bag is empty"
+
+    def messages(self, topics: Any) -> Iterator[tuple[str, bytes]]:
+        """Give the messages of these topics as CDR, in order of their arrival."""
+        with self._opened() as reader:
+            chosen = [c for c in reader.connections if c.topic in topics]
+            for connection, _, raw in reader.messages(connections=chosen):
+                if reader.is2:
+                    yield connection.topic, bytes(raw)
+                    continue
+                kind = OLD_NAMES.get(connection.msgtype, connection.msgtype)
+                message = renewed(reader.deserialize(raw, connection.msgtype), kind)
+                yield connection.topic, ros.to_bytes(kind, message)
+
+    def _listed_kinds(self) -> dict[str, str]:
+        with self._opened() as reader:
+            return {c.topic: OLD_NAMES.get(c.msgtype, c.msgtype) for c in reader.connections}
+
+    def _opened(self) -> Any:
+        from rosbags.highlevel import AnyReader, AnyReaderError
+
+        try:
+            reader = AnyReader([self.path], default_typestore=ros.typestore())
+            reader.open()
+        except (AnyReaderError, OSError, ValueError) as error:
+            raise InputError(f"not a bag: {error}", where=self.path) from None
+        return _Closing(reader)
+
+
+class McapBag(Bag):
+    """The same of an MCAP file, complete or truncated."""
+
+    def _listed_kinds(self) -> dict[str, str]:
+        return McapSource(self.path).topics()
+
+    def messages(self, topics: Any) -> Iterator[tuple[str, bytes]]:
+        """Give the messages of these topics, in order of their arrival."""
+        chosen = set(topics)
+        return ((topic, data) for topic, _, data in McapSource(self.path).messages() if topic in chosen)
 
 
 class RosbagSource:
@@ -43,8 +117,8 @@ class RosbagSource:
         self, path: Path, *, topics: str = "", odom: str = "", radar: str = "x4m05", world: str = "map",
         body: str = "base_link",
     ) -> None:  # fmt: skip
-        self.path = path.parent if path.suffix == ".db3" and (path.parent / "metadata.yaml").exists() else path
-        self._kinds = self._listed_kinds()
+        self.path, self._bag = path, Bag.of(path)
+        self._kinds = self._bag.kinds
         self._radars = self._wanted(topics)
         odometry = [name for name, kind in self._kinds.items() if kind == ros.ODOMETRY]
         placed = ros.TRANSFORMS in self._kinds.values()
@@ -55,38 +129,20 @@ class RosbagSource:
         self._options = SourceOptions(radar=radar, map=world, body=body, poses=poses, patience_s=60)
         self._sensors: tuple[str, ...] | None = None
 
-    def _listed_kinds(self) -> dict[str, str]:
-        """Return the topics of the bag with their types."""
-        with self._opened() as reader:
-            return {c.topic: OLD_NAMES.get(c.msgtype, c.msgtype) for c in reader.connections}
-
     def _wanted(self, topics: str) -> list[str]:
         """Return the topics of radars, by the option or by type."""
         kinds = (ros.FRAME, ros.CLOUD, encode.RANGE)
         if named := [name for name in topics.split(",") if name]:
             for name in named:
                 if self._kinds.get(name) not in kinds:
-                    raise InputError(f"no frames on {name}", where=self.path, allowed=self._listed())
+                    raise InputError(f"no frames on {name}", where=self.path, allowed=self._bag.listed())
             return named
         for kind in kinds:
             found = [name for name, of in self._kinds.items() if of == kind]
             found = [name for name in found if kind != ros.CLOUD or name.endswith("/profile")]
             if found:
                 return found
-        raise InputError("no radar frames, profiles or ranges in it", where=self.path, allowed=self._listed())
-
-    def _listed(self) -> str:
-        return ", ".join(f"{name} ({kind})" for name, kind in self._kinds.items()) or "the bag is empty"
-
-    def _opened(self) -> Any:
-        from rosbags.highlevel import AnyReader, AnyReaderError
-
-        try:
-            reader = AnyReader([self.path], default_typestore=ros.typestore())
-            reader.open()
-        except (AnyReaderError, OSError, ValueError) as error:
-            raise InputError(f"not a bag: {error}", where=self.path) from None
-        return _Closing(reader)
+        raise InputError("no radar frames, profiles or ranges in it", where=self.path, allowed=self._bag.listed())
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -110,7 +166,7 @@ class RosbagSource:
         """Give the frames in order of time, at most `chunk` of each sensor at once."""
         into = Incoming(self._options, partial(warnings.warn, category=UllageWarning, stacklevel=4))
         takers = self._takers(into)
-        for number, (topic, data) in enumerate(self._messages(takers)):
+        for number, (topic, data) in enumerate(self._bag.messages(takers)):
             into.take(topic, takers[topic], data)
             if number % BATCH == BATCH - 1 and (found := into.ready(chunk)):
                 yield found
@@ -136,41 +192,18 @@ class RosbagSource:
                 out[topic] = into.take_odometry
         return out
 
-    def _messages(self, topics: Any) -> Iterator[tuple[str, bytes]]:
-        """Give the messages of these topics as CDR, in order of their arrival."""
-        with self._opened() as reader:
-            chosen = [c for c in reader.connections if c.topic in topics]
-            for connection, _, raw in reader.messages(connections=chosen):
-                if reader.is2:
-                    yield connection.topic, bytes(raw)
-                    continue
-                kind = OLD_NAMES.get(connection.msgtype, connection.msgtype)
-                message = renewed(reader.deserialize(raw, connection.msgtype), kind)
-                yield connection.topic, ros.to_bytes(kind, message)
-
     def trajectory(self) -> Trajectory | None:
         """Return the body's path if the bag has odometry."""
-        messages = [data for topic, data in self._messages([self._odom]) if topic] if self._odom else []
+        messages = [data for topic, data in self._bag.messages([self._odom]) if topic] if self._odom else []
         return conversions.odometry_path(messages) if messages else None
 
     def map(self) -> OccupancyMap | None:
         """Return the last map of the bag, if any."""
         grids = [topic for topic, kind in self._kinds.items() if kind == ros.GRID]
         last = None
-        for _, data in self._messages(grids):
+        for _, data in self._bag.messages(grids):
             last = data
         return None if last is None else conversions.grid_of(last)
-
-
-class McapBagSource(RosbagSource):
-    """The same source from an MCAP file, complete or truncated."""
-
-    def _listed_kinds(self) -> dict[str, str]:
-        return McapSource(self.path).topics()
-
-    def _messages(self, topics: Any) -> Iterator[tuple[str, bytes]]:
-        chosen = set(topics)
-        return ((topic, data) for topic, _, data in McapSource(self.path).messages() if topic in chosen)
 
 
 def open_mcap(
@@ -192,8 +225,80 @@ def open_mcap(
     source = McapSource(path)
     kinds = {} if topics or odom or source.has_frames() else source.topics()
     if (topics or odom) or any(kind == encode.RANGE or name.endswith("/profile") for name, kind in kinds.items()):
-        return McapBagSource(path, topics=topics, odom=odom, radar=radar, world=world, body=body)
+        return RosbagSource(path, topics=topics, odom=odom, radar=radar, world=world, body=body)
     return source
+
+
+def read_track(path: Path, *, topic: str = "", body: str = "base_link", datum: str = "") -> Trajectory:
+    """Read the track of a body from one topic of a bag.
+
+    Args:
+        path: of the bag.
+        topic: of Odometry, PoseStamped, PoseWithCovarianceStamped, NavSatFix, or transforms; none: the only one there.
+        body: frame of reference of the vehicle, for transforms.
+        datum: origin of fixes, `latitude,longitude[,height]`; none: the first fix, with a warning.
+
+    Raises:
+        InputError: it is no bag, there is no such topic or there are several, or its poses cannot be used.
+    """
+    bag = Bag.of(path)
+    placed = [name for name, kind in bag.kinds.items() if kind in TRACKS]
+    moving = [name for name in placed if not (bag.kinds[name] == ros.TRANSFORMS and name.endswith("static"))]
+    if (topic and topic not in placed) or (not topic and len(moving) != 1):
+        what = f"no track on {topic}" if topic else f"{len(moving)} topics hold a track: say topic="
+        raise InputError(what, where=path, allowed=", ".join(moving) or bag.listed())
+    topic = topic or moving[0]
+    kind = bag.kinds[topic]
+    wanted = [name for name in placed if bag.kinds[name] == ros.TRANSFORMS] if kind == ros.TRANSFORMS else [topic]
+    messages = (ros.from_bytes(kind, data) for _, data in bag.messages(wanted))
+    if kind == ros.TRANSFORMS:
+        return along_transforms(messages, body, path)
+    if kind == FIX:
+        rows = [(stamp_ns(m.header), m.latitude, m.longitude, m.altitude) for m in messages if m.status.status >= 0]
+        return track_of_fixes(rows, datum, path)
+    return track_of_poses([(stamp_ns(m.header), *_pose(m.pose)) for m in messages], path)
+
+
+def _pose(message: Any) -> tuple[list[float], list[float]]:
+    """Position and quaternion of a Pose, or of one with covariance."""
+    pose = getattr(message, "pose", message)
+    at, turn = pose.position, pose.orientation
+    return [at.x, at.y, at.z], [turn.x, turn.y, turn.z, turn.w]
+
+
+def along_transforms(messages: Iterable[Any], body: str, path: Path) -> Trajectory:
+    """Return the track of a frame of reference in the root of its tree.
+
+    Raises:
+        InputError: nothing places it, or nothing moves.
+    """
+    edges: dict[str, tuple[str, list[Pose]]] = {}
+    for message in messages:
+        for one in message.transforms:
+            at, turn = one.transform.translation, one.transform.rotation
+            row = (stamp_ns(one.header), [at.x, at.y, at.z], [turn.x, turn.y, turn.z, turn.w])
+            parent, rows = edges.setdefault(one.child_frame_id.lstrip("/"), (one.header.frame_id.lstrip("/"), []))
+            if parent == one.header.frame_id.lstrip("/"):
+                rows.append(row)
+    chain: list[Trajectory] = []
+    name, seen = body, set[str]()
+    while name in edges and name not in seen:
+        seen.add(name)
+        name, rows = edges[name]
+        stands = all(row[1:] == rows[0][1:] for row in rows)
+        chain.append(track_of_poses(rows[:1] if stands else rows, path))
+    if not chain:
+        raise InputError(f"no transform places {body}", where=path, allowed=", ".join(edges) or "none is in the bag")
+    moving = [one for one in chain if len(one) > 1]
+    if not moving:
+        raise InputError(f"no transform above {body} moves", where=path, allowed="a track")
+    low, high = max(one.t_ns[0] for one in moving), min(one.t_ns[-1] for one in moving)
+    t_ns = max(moving, key=len).t_ns
+    t_ns = t_ns[(t_ns >= low) & (t_ns <= high)]
+    if not len(t_ns):
+        raise InputError(f"the transforms above {body} are of different times", where=path)
+    out = reduce(lambda inner, outer: outer @ inner, (one.at(t_ns).world_from_body for one in chain))
+    return Trajectory(t_ns, out[:, :3, 3], matrix_quat(out[:, :3, :3]))
 
 
 def renewed(message: Any, kind: str) -> Any:

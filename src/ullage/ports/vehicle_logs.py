@@ -1,0 +1,182 @@
+"""Tracks of vehicles from their own logs: PX4's `.ulg`, ArduPilot's `.bin`, and the fixes of satellite receivers.
+
+Autopilots write north-east-down and forward-right-down; here tracks are ENU and FLU. Fixes become east, north and up of
+a datum; where a log has no attitude, it is that of the world [ULog] [NMEA0183].
+"""
+
+from __future__ import annotations
+
+import operator
+import warnings
+from collections.abc import Iterable
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ullage.arrays import Floats
+from ullage.data import Trajectory
+from ullage.errors import InputError, UllageWarning, need
+from ullage.geometry import matrix_quat, quat_matrix, rpy_quat
+from ullage.ports.geodetic import Geodetic, datum_of
+from ullage.ports.ned import FLIP, SWAP
+from ullage.untrusted import reading
+
+Pose = tuple[int, ArrayLike, ArrayLike]
+"""Time [ns], position (3) [m], quaternion xyzw (4)."""
+
+Fix = tuple[int, float, float, float]
+"""Time [ns], latitude and longitude [deg], height over the ellipsoid [m]."""
+
+MOST_M, MOST_NS = 1e6, 9_000_000_000_000_000_000
+ESTIMATES = ("XKF1", "NKF1")
+"""Messages of ArduPilot's filters that hold place and attitude: those of EKF3, then EKF2."""
+DAY_NS = 86_400_000_000_000
+
+
+def track_of_poses(rows: Iterable[Pose], path: Path) -> Trajectory:
+    """Return the track of poses in order of time; those that cannot be used are left out, with a warning.
+
+    Raises:
+        InputError: none can be used.
+    """
+    listed = list(rows)
+    times = np.array([row[0] for row in listed], np.int64)
+    table = np.array([np.concatenate([row[1], row[2]]) for row in listed], float).reshape(-1, 7)
+    norm = np.linalg.norm(table[:, 3:], axis=1)
+    good = np.isfinite(table).all(1) & (abs(norm - 1) < 0.01) & (abs(table[:, :3]) < MOST_M).all(1)
+    if not good.any():
+        raise InputError(f"none of {len(listed)} poses can be used", where=path, allowed="metres, unit quaternions")
+    if not good.all():
+        text = f"{path}: {int((~good).sum())} of {len(listed)} poses are no poses, first pose {int(np.argmin(good))}"
+        warnings.warn(f"{text}; left out", UllageWarning, stacklevel=3)
+    t_ns, first = np.unique(times[good], return_index=True)
+    kept = table[good][first]
+    return Trajectory(t_ns, kept[:, :3], kept[:, 3:] / norm[good][first][:, None])
+
+
+def track_of_fixes(rows: Iterable[Fix], datum: str, path: Path) -> Trajectory:
+    """Return the track of fixes: east, north, up of a datum, without attitude.
+
+    Args:
+        rows: the fixes.
+        datum: `latitude,longitude[,height]`; empty: the first fix, with a warning.
+        path: for messages.
+
+    Raises:
+        InputError: the datum is none, or there are no fixes.
+    """
+    fixes = [row for row in rows if np.isfinite(row[1:]).all()]
+    if not fixes:
+        raise InputError("no fix in it", where=path, allowed="fixes of a satellite receiver")
+    times, *place = (np.array(column) for column in zip(*fixes, strict=True))
+    origin = datum_of(datum) if datum else Geodetic.degrees(*(float(column[0]) for column in place))
+    if not datum:
+        text = f"{path}: east, north and up of its first fix, {place[0][0]:.7f},{place[1][0]:.7f},{place[2][0]:.2f}"
+        warnings.warn(f"{text} (say datum=)", UllageWarning, stacklevel=3)
+    level = np.array([0.0, 0.0, 0.0, 1.0])
+    return track_of_poses([(int(t), at, level) for t, at in zip(times, origin.local(*place), strict=True)], path)
+
+
+def read_ulog(path: Path) -> Trajectory:
+    """Read the track in a log of PX4: vehicle_local_position with the attitude of vehicle_attitude.
+
+    Raises:
+        InputError: it is no such log, or one of both is missing.
+        MissingExtra: pyulog is not installed.
+    """
+    library: Any = need("pyulog", extra="logs")
+    names = ["vehicle_local_position", "vehicle_attitude"]
+    with reading(path):
+        found = {one.name: one.data for one in library.ULog(str(path), names).data_list if one.multi_id == 0}
+        if missing := [name for name in names if name not in found]:
+            raise InputError(f"no {' and no '.join(missing)}", where=path, allowed="a log of a flight by PX4")
+        place, turn = (found[name] for name in names)
+        ned = np.stack([place["x"], place["y"], place["z"]], axis=1)
+        quat = np.stack([turn[f"q[{k}]"] for k in (1, 2, 3, 0)], axis=1)
+        times, turns = (np.asarray(one["timestamp"], np.int64) * 1000 for one in (place, turn))
+        level = track_of_poses(zip(turns, np.zeros((len(quat), 3)), quat, strict=True), path)
+        held = np.clip(times, level.t_ns[0], level.t_ns[-1])
+        return _enu(times, ned, level.at(held).quat_xyzw, path)
+
+
+def read_dataflash(path: Path) -> Trajectory:
+    """Read the track in a log of ArduPilot: what the filter of its first core estimated.
+
+    Raises:
+        InputError: it is no such log, or holds no estimates.
+        MissingExtra: pymavlink is not installed.
+    """
+    library: Any = need("pymavlink.DFReader", extra="mavlink")
+    with reading(path):
+        log = library.DFReader_binary(str(path))
+        rows: dict[str, list[list[float]]] = {name: [] for name in ESTIMATES}
+        try:
+            while (message := log.recv_match(type=list(ESTIMATES))) is not None:
+                if getattr(message, "C", 0) in (0, 100):
+                    angles = np.radians([message.Roll, message.Pitch, message.Yaw])
+                    rows[message.get_type()].append([message.TimeUS, message.PN, message.PE, message.PD, *angles])
+        finally:
+            log.close()
+        table = np.array(next((found for found in rows.values() if found), [])).reshape(-1, 7)
+        if not len(table):
+            raise InputError(f"no {' or '.join(ESTIMATES)}", where=path, allowed="a log of a flight by ArduPilot")
+        table = table[np.isfinite(table).all(1) & (table[:, 0] < MOST_NS / 1000)]
+        quat = np.array([rpy_quat(*row[4:]) for row in table]).reshape(-1, 4)
+        return _enu(np.rint(table[:, 0] * 1000).astype(np.int64), table[:, 1:4], quat, path)
+
+
+def _enu(t_ns: Any, ned: Floats, quat: Floats, path: Path) -> Trajectory:
+    """The track (n) of places north, east, down and attitudes from forward-right-down."""
+    turn = matrix_quat(SWAP @ quat_matrix(quat) @ FLIP)
+    return track_of_poses(zip(t_ns, ned @ SWAP.T, turn, strict=True), path)
+
+
+def read_nmea(path: Path, *, datum: str = "") -> Trajectory:
+    """Read the fixes in the GGA sentences of an NMEA log, with the height over the ellipsoid.
+
+    Args:
+        path: the log.
+        datum: origin, `latitude,longitude[,height]`; none: the first fix, with a warning.
+
+    Raises:
+        InputError: no sentence holds a fix, or the datum is none.
+    """
+    with reading(path):
+        text = path.read_text("ascii", errors="replace")
+    rows, bad, day = [], 0, 0
+    for line in text.splitlines():
+        if "GGA," not in line[:8]:
+            continue
+        fix = _fix(line.strip())
+        bad += fix is None
+        if fix is None or not fix:
+            continue
+        if rows and fix[0] + day < rows[-1][0] - DAY_NS // 2:
+            day += DAY_NS
+        rows.append((fix[0] + day, *fix[1:]))
+    if bad:
+        warnings.warn(f"{path}: {bad} GGA sentences cannot be read; left out", UllageWarning, stacklevel=3)
+    return track_of_fixes(rows, datum, path)
+
+
+def _fix(line: str) -> Fix | tuple[()] | None:
+    """The fix in one GGA sentence: empty if the receiver had none, None if the sentence is damaged."""
+    body, _, checksum = line.lstrip("$").partition("*")
+    cells = body.split(",")
+    try:
+        if checksum and reduce(operator.xor, body.encode(), 0) != int(checksum[:2], 16):
+            return None
+        if cells[6] in ("0", ""):
+            return ()
+        clock = cells[1]
+        t_ns = (int(clock[:2]) * 3600 + int(clock[2:4]) * 60) * 1_000_000_000 + round(float(clock[4:]) * 1e9)
+        lat, lon = (float(text[:size]) + float(text[size:]) / 60 for text, size in ((cells[2], 2), (cells[4], 3)))
+        height = float(cells[9]) + float(cells[11] or 0)
+    except (ValueError, IndexError):
+        return None
+    values = (lat * (-1 if cells[3] == "S" else 1), lon * (-1 if cells[5] == "W" else 1), height)
+    good = abs(values[0]) <= 90 and abs(values[1]) <= 180 and abs(height) < MOST_M and 0 <= t_ns < DAY_NS
+    return (t_ns, *values) if good else None
