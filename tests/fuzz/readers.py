@@ -7,9 +7,13 @@ damaged before they are packed, so that checksums hold, and packed logs before t
 from __future__ import annotations
 
 import gzip
+import importlib
+import importlib.util
 import io
+import json
 import shutil
 import struct
+import sys
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -343,10 +347,121 @@ def _read_motive(path: Path) -> None:
     read_tracks(path)
 
 
+def _pulson(folder: Path) -> list[bytes]:
+    """A log with the bare configuration, and with the whole messages."""
+    from ullage.ports.pulson import CONFIG
+
+    out = list(_recorded("pulson440", "rail_a", "radar.out")(folder))
+    for kind, tail in ((0x1001, b""), (0x1102, bytes(8))):
+        out += [struct.pack(">HH", kind, 1) + raw[: CONFIG.size] + tail + raw[CONFIG.size :] for raw in out[:1]]
+    return out
+
+
+def _p452(_: Path) -> list[bytes]:
+    rows = [[0.02 * n, [n, -9, 1 << 20, 0, 5, 6, 7, 8]] for n in range(4)]
+    return [json.dumps({"scan_start": 20014, "scan_end": 22454, "scans": rows}).encode()]
+
+
+def _matlab(_: Path) -> list[bytes]:
+    from scipy.io import savemat
+
+    packed = io.BytesIO()
+    samples, ranges = np.ones((3, 9), np.complex64), np.arange(9) / 20
+    savemat(packed, {"samples": samples, "times_s": np.arange(3.0), "ranges_m": ranges, "positions_m": np.eye(3)})
+    return [packed.getvalue()]
+
+
+def _hdf5(folder: Path) -> list[bytes]:
+    import h5py
+
+    entry, about = "sessions/session_0/group_0/entry_0", {"base_step_length_m": 0.0025, "max_sweep_rate": 9.0}
+    one = {"profile": "PROFILE_1", "hwaas": 8, "start_point": 8, "step_length": 4}
+    pairs = np.ones((4, 2, 9), [("real", "<i2"), ("imag", "<i2")])
+    session = {
+        "server_info": json.dumps({"ticks_per_second": 1000}),
+        "sessions/session_0/session_config": json.dumps({"groups": [{"1": {"subsweeps": [one]}}]}),
+        f"{entry}/metadata": json.dumps(about | {"subsweep_data_offset": [0], "subsweep_data_length": [9]}),
+        f"{entry}/result/frame": pairs, f"{entry}/result/tick": np.arange(4), f"{entry}/result/data_saturated": [0] * 4,
+    }  # fmt: skip
+    plain = {"samples": np.ones((3, 9), np.complex64), "times_s": np.arange(3.0), "ranges_m": np.arange(9) / 20}
+    out = []
+    for values in (session, plain):
+        with h5py.File(folder / "seed.h5", "w") as file:
+            for name, value in values.items():
+                file[name] = value
+        out.append((folder / "seed.h5").read_bytes())
+    return out
+
+
+def _track(made: str) -> Callable[[Path], Sequence[bytes]]:
+    """The log of a short flight, as the tests of these readers write it."""
+
+    def seeds(_: Path) -> Sequence[bytes]:
+        sys.path.insert(0, str(Path(__file__).parents[1] / "ports"))
+        import vehicle_logs
+
+        n = np.arange(6)
+        place = np.stack([n, 0 * n, 1 + n], axis=1) / 5
+        made_of = ul.Trajectory(n * 100_000_000, place, np.tile([0.0, 0.0, 0.0, 1.0], (6, 1)))
+        log = getattr(vehicle_logs, made)(made_of)
+        return [log.encode() if isinstance(log, str) else log]
+
+    return seeds
+
+
+TRACK_TOPICS = ("/fix", "/tf", "/vio")
+
+
+def _tracks_in_a_bag(_: Path) -> list[bytes]:
+    """Fixes, transforms and poses with a stamp, as messages in a row."""
+    from ullage.ports import messages as ros
+
+    turn = ros.make("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
+    kinds = ("sensor_msgs/msg/NavSatFix", ros.TRANSFORMS, ros.POSE)
+    blob = b""
+    for n in range(4):
+        state = ros.make("sensor_msgs/msg/NavSatStatus", 0, 1)
+        fix = ros.make(kinds[0], ros.header(n, "gps"), state, 63.4 + n * 1e-6, 10.4, 50.0, np.zeros(9), 0)
+        move = ros.make("geometry_msgs/msg/Transform", ros.make("geometry_msgs/msg/Vector3", 0.1 * n, 1.0, 2.0), turn)
+        one = ros.make("geometry_msgs/msg/TransformStamped", ros.header(n, "map"), "base_link", move)
+        pose = ros.make("geometry_msgs/msg/Pose", ros.make("geometry_msgs/msg/Point", 0.1 * n, 1.0, 2.0), turn)
+        made = (fix, ros.make(ros.TRANSFORMS, [one]), ros.make(ros.POSE, ros.header(n, "map"), pose))
+        for kind, topic, message in zip(kinds, TRACK_TOPICS, made, strict=True):
+            data, head = ros.to_bytes(kind, message), f"{kind} {topic}".encode()
+            blob += struct.pack("<HI", len(head), len(data)) + head + data
+    return [blob]
+
+
+def _read_tracks(path: Path) -> None:
+    """The track on each topic; the last refusal is passed on if there is none."""
+    from ullage.ports.ros2.bags import read_track
+
+    refused: list[ul.InputError] = []
+    for topic in TRACK_TOPICS:
+        try:
+            read_track(path, topic=topic)
+        except ul.InputError as error:
+            assert_one_line(error)
+            refused.append(error)
+    if len(refused) == len(TRACK_TOPICS):
+        raise refused[-1]
+
+
 def _read_pulson(path: Path) -> None:
     from ullage.ports.pulson import read_log
 
     read_log(path)
+
+
+def _reader(module: str, name: str) -> Callable[[Path], object]:
+    """A reader of ullage.ports by its name."""
+    reader: Callable[[Path], object] = getattr(importlib.import_module(f"ullage.ports.{module}"), name)
+    return reader
+
+
+def _there(library: str) -> bool:
+    """Whether an optional library is installed; its readers are left out otherwise."""
+    return importlib.util.find_spec(library) is not None
 
 
 READERS = [
@@ -392,7 +507,18 @@ READERS = [
         _all_of,
     ),
     Reader("npz", _npz, "a.npz", _all_of, pack=_stored),
-    Reader("pulson", _recorded("pulson440", "rail_a", "radar.out"), "radar.out", _read_pulson),
+    Reader("pulson", _pulson, "radar.out", _read_pulson),
+    Reader("p452", _p452, "scans.json", _all_of),
+    Reader("matlab", _matlab, "a.mat", _all_of),
+    *([Reader("hdf5", _hdf5, "a.h5", _all_of)] if _there("h5py") else []),
+    *([Reader("ulog", _track("ulog"), "a.ulg", _reader("vehicle_logs", "read_ulog"))] if _there("pyulog") else []),
+    *(
+        [Reader("dataflash", _track("dataflash"), "a.bin", _reader("vehicle_logs", "read_dataflash"))]
+        if _there("pymavlink")
+        else []
+    ),
+    Reader("nmea", _track("nmea"), "a.nmea", _reader("vehicle_logs", "read_nmea")),
+    Reader("tracks", _tracks_in_a_bag, "a.mcap", _read_tracks, pack=mcap_of),
     Reader("motive", _recorded("pulson440", "rail_a", "mocap.csv", most=12_000), "mocap.csv", _read_motive),
 ]
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.errors import InputError, need
+from ullage.ports.matlab import MatFile
 from ullage.untrusted import reading
 
 MATLAB, HDF5 = (".mat",), (".h5", ".hdf5")
@@ -39,9 +40,7 @@ def names_in(path: Path) -> frozenset[str]:
     """Names of the arrays in the file."""
     with reading(path):
         if not _is_hdf5(path):
-            from scipy.io import whosmat
-
-            return frozenset(name for name, _, _ in whosmat(path))
+            return frozenset(name for name, _ in MatFile(path).arrays())
         with open_hdf5(path) as file:
             return frozenset(file)
 
@@ -93,13 +92,11 @@ def _of_hdf5(path: Path, names: set[str], most_bytes: int) -> dict[str, NDArray[
 
 
 def _of_matlab(path: Path, names: set[str], most_bytes: int) -> dict[str, NDArray[Any]]:
-    from scipy.io import loadmat, whosmat
-
-    sizes = {name: int(np.prod(shape, dtype=float)) * 16 for name, shape, _ in whosmat(path) if name in names}
-    if sum(sizes.values()) > most_bytes:
-        raise InputError(f"unpacks to {sum(sizes.values())} bytes", where=path, allowed=f"at most {most_bytes}")
-    found = loadmat(path, variable_names=list(sizes))
-    return {name: np.asarray(found[name]) for name in sizes if name in found}
+    found = {name: array for name, array in MatFile(path).arrays() if name in names}
+    size = sum(array.nbytes for array in found.values())
+    if size > most_bytes:
+        raise InputError(f"unpacks to {size} bytes", where=path, allowed=f"at most {most_bytes}")
+    return {name: array.read() for name, array in found.items()}
 
 
 def _matrix(name: str) -> bool:

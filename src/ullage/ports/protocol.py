@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -35,31 +34,25 @@ class Passed:
 
 
 class Passing:
-    """State and messages that a live source has besides frames, passed on to a taker as they come.
-
-    Safe to use from several threads.
-    """
+    """Messages that a live source receives besides frames, passed on to a taker as they come."""
 
     def __init__(self) -> None:
-        self._take: Callable[[Passed | Trajectory], None] | None = None
-        self._waiting: deque[Callable[[], Iterable[Passed | Trajectory]]] = deque(maxlen=1000)
-        self._lock = threading.RLock()
+        self._take: Callable[[Passed], None] | None = None
+        self._waiting: deque[Callable[[], Iterable[Passed]]] = deque(maxlen=1000)
 
-    def to(self, take: Callable[[Passed | Trajectory], None]) -> None:
-        """Pass items to this taker from now on; the waiting ones go first."""
-        with self._lock:
-            self._take = take
-            while self._waiting:
-                self.give(self._waiting.popleft())
+    def to(self, take: Callable[[Passed], None]) -> None:
+        """Pass messages to this taker from now on; the waiting ones go first."""
+        self._take = take
+        while self._waiting:
+            self.give(self._waiting.popleft())
 
-    def give(self, make: Callable[[], Iterable[Passed | Trajectory]]) -> None:
-        """Pass on the items that `make` returns; it is called only once there is a taker."""
-        with self._lock:
-            if self._take is None:
-                self._waiting.append(make)
-                return
-            for item in make():
-                self._take(item)
+    def give(self, make: Callable[[], Iterable[Passed]]) -> None:
+        """Pass on the messages that `make` returns; it is called only once there is a taker."""
+        if self._take is None:
+            self._waiting.append(make)
+            return
+        for item in make():
+            self._take(item)
 
 
 Item = Frames | Chunk | Trajectory | OccupancyMap | Detections | ObstacleSectors | Scene | Image | Passed
@@ -190,8 +183,8 @@ def mend_clock(t_ns: NDArray[np.int64], *, where: str | Path) -> NDArray[np.int6
 def warn_of_saturation(samples: NDArray[Any], path: Path) -> None:
     """Warn where samples stay at the greatest value of the recording for three bins in a row, and pile up there.
 
-    An echo passes its greatest value in one bin. Coarse samples may repeat it, but not more often than the values
-    below; a converter's limit holds everything that lies beyond. So the share of saturated samples does not matter.
+    An echo passes its greatest value in one bin. Coarse samples may repeat it, but not more often than values below. A
+    converter's limit holds everything that lies beyond, so the share of saturated samples does not matter.
     """
     size = np.abs(np.stack([samples.real, samples.imag] if np.iscomplexobj(samples) else [samples]))
     limit = float(size.max())

@@ -48,7 +48,8 @@ def track_of_poses(rows: Iterable[Pose], path: Path) -> Trajectory:
     norm = np.linalg.norm(table[:, 3:], axis=1)
     good = np.isfinite(table).all(1) & (abs(norm - 1) < 0.01) & (abs(table[:, :3]) < MOST_M).all(1)
     if not good.any():
-        raise InputError(f"none of {len(listed)} poses can be used", where=path, allowed="metres, unit quaternions")
+        allowed = "places within 1000 km of the origin, unit quaternions"
+        raise InputError(f"none of {len(listed)} poses can be used", where=path, allowed=allowed)
     if not good.all():
         text = f"{path}: {int((~good).sum())} of {len(listed)} poses are no poses, first pose {int(np.argmin(good))}"
         warnings.warn(f"{text}; left out", UllageWarning, stacklevel=3)
@@ -124,8 +125,7 @@ def read_dataflash(path: Path) -> Trajectory:
         if not len(table):
             raise InputError(f"no {' or '.join(ESTIMATES)}", where=path, allowed="a log of a flight by ArduPilot")
         table = table[np.isfinite(table).all(1) & (table[:, 0] < MOST_NS / 1000)]
-        quat = np.array([rpy_quat(*row[4:]) for row in table]).reshape(-1, 4)
-        return _enu(np.rint(table[:, 0] * 1000).astype(np.int64), table[:, 1:4], quat, path)
+        return _enu(np.rint(table[:, 0] * 1000).astype(np.int64), table[:, 1:4], rpy_quat(*table[:, 4:].T), path)
 
 
 def _enu(t_ns: Any, ned: Floats, quat: Floats, path: Path) -> Trajectory:

@@ -250,13 +250,25 @@ def read_track(path: Path, *, topic: str = "", body: str = "base_link", datum: s
     topic = topic or moving[0]
     kind = bag.kinds[topic]
     wanted = [name for name in placed if bag.kinds[name] == ros.TRANSFORMS] if kind == ros.TRANSFORMS else [topic]
-    messages = (ros.from_bytes(kind, data) for _, data in bag.messages(wanted))
+    messages = _sound(kind, (data for _, data in bag.messages(wanted)), path)
     if kind == ros.TRANSFORMS:
         return along_transforms(messages, body, path)
     if kind == FIX:
         rows = [(stamp_ns(m.header), m.latitude, m.longitude, m.altitude) for m in messages if m.status.status >= 0]
         return track_of_fixes(rows, datum, path)
     return track_of_poses([(stamp_ns(m.header), *_pose(m.pose)) for m in messages], path)
+
+
+def _sound(kind: str, messages: Iterable[bytes], path: Path) -> Iterator[Any]:
+    """Decode messages; those that cannot be read are left out, with a warning."""
+    bad = 0
+    for data in messages:
+        try:
+            yield ros.from_bytes(kind, data)
+        except Exception:  # a stranger's bytes: the library's complaints are of every kind
+            bad += 1
+    if bad:
+        warnings.warn(f"{path}: {bad} messages of the track cannot be read; left out", DamageWarning, stacklevel=3)
 
 
 def _pose(message: Any) -> tuple[list[float], list[float]]:

@@ -1,0 +1,77 @@
+"""Logs of vehicles as their programs write them, made of a track: PX4's ULog, ArduPilot's DataFlash, NMEA 0183."""
+
+from __future__ import annotations
+
+import operator
+import struct
+from functools import reduce
+
+import numpy as np
+
+import ullage as ul
+from ullage.geometry import matrix_quat, quat_matrix, quat_rpy
+from ullage.ports.geodetic import Geodetic
+from ullage.ports.ned import FLIP, SWAP
+
+PLACE = Geodetic.degrees(-33.5, -70.25, 520.0)
+
+
+def autopilot(track: ul.Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Places north, east, down (n, 3) and quaternions xyzw from forward-right-down (n, 4)."""
+    return track.position @ SWAP.T, matrix_quat(SWAP @ quat_matrix(track.quat_xyzw) @ FLIP)
+
+
+def ulog(track: ul.Trajectory) -> bytes:
+    """A log of PX4: attitudes at the times of the track, places in between, so that attitudes are interpolated."""
+    formats = (
+        b"vehicle_local_position:uint64_t timestamp;float x;float y;float z;",
+        b"vehicle_attitude:uint64_t timestamp;float[4] q;",
+    )
+
+    def message(kind: bytes, data: bytes) -> bytes:
+        return struct.pack("<Hc", len(data), kind) + data
+
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+    out += b"".join(message(b"F", text) for text in formats)
+    for number, text in enumerate(formats):
+        out += message(b"A", struct.pack("<BH", 0, number) + text.partition(b":")[0])
+    t_us, (_, quat) = track.t_ns // 1000, autopilot(track)
+    between = t_us[:-1] + np.diff(t_us) // 2
+    ned, _ = autopilot(track.at(between * 1000))
+    for t, (x, y, z, w) in zip(t_us, quat, strict=True):
+        out += message(b"D", struct.pack("<HQ4f", 1, t, w, x, y, z))
+    for t, place in zip(between, ned, strict=True):
+        out += message(b"D", struct.pack("<HQ3f", 0, t, *place))
+    return out
+
+
+def dataflash(track: ul.Trajectory) -> bytes:
+    """A log of ArduPilot with the estimates of two cores; those of the second are wrong."""
+
+    def described(kind: int, size: int, name: bytes, form: bytes, columns: bytes) -> bytes:
+        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, name, form, columns)
+
+    columns = b"TimeUS,C,Roll,Pitch,Yaw,PN,PE,PD"
+    out = described(128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
+    out += described(64, 3 + 8 + 1 + 6 * 4, b"XKF1", b"QBffffff", columns)
+    ned, quat = autopilot(track)
+    for t, place, angles in zip(track.t_ns // 1000, ned, np.degrees(quat_rpy(quat)), strict=True):
+        for core in (0, 1):
+            out += b"\xa3\x95\x40" + struct.pack("<QB6f", t, core, *angles, *(place + 9 * core))
+    return out
+
+
+def nmea(track: ul.Trajectory, *, start_s: int = 86_395) -> str:
+    """Fixes of a receiver without attitude, by default past midnight."""
+    return "".join(sentence(start_s + t, p) for t, p in zip(track.t_ns * 1e-9, track.position, strict=True))
+
+
+def sentence(t_s: float, position: np.ndarray) -> str:
+    """One GGA sentence of a place east, north and up of PLACE."""
+    t_s %= 86_400
+    at = PLACE.moved(SWAP @ position)
+    lat, lon = abs(np.degrees([at.lat_rad, at.lon_rad]))
+    clock = f"{int(t_s // 3600):02d}{int(t_s % 3600 // 60):02d}{t_s % 60:05.2f}"
+    degrees = f"{int(lat):02d}{lat % 1 * 60:010.7f},S,{int(lon):03d}{lon % 1 * 60:010.7f},W"
+    body = f"GPGGA,{clock},{degrees},4,12,0.7,{at.height_m - 31.5:.3f},M,31.5,M,,"
+    return f"${body}*{reduce(operator.xor, body.encode(), 0):02X}\r\n"
