@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ullage.live_run import LiveStatistics
     from ullage.ports.intake import Covered
     from ullage.ports.protocol import Sink as PortSink
+    from ullage.processing.health import HealthMonitor
     from ullage.processing.image_sum import ImageSum
     from ullage.processing.own_echo import OwnEchoFilter
     from ullage.processing.scatterers import Scatterer
@@ -39,6 +40,12 @@ def _own_echo_filter() -> OwnEchoFilter:
     from ullage.processing.own_echo import OwnEchoFilter
 
     return OwnEchoFilter()
+
+
+def _health_monitor() -> HealthMonitor:
+    from ullage.processing.health import HealthMonitor
+
+    return HealthMonitor()
 
 
 def _covered(times: NDArray[np.int64]) -> Covered:
@@ -312,7 +319,7 @@ class MapStage:
     The last map of frames that `ul.calibrate` put on a track also holds the scatterers that stay coherent along it.
 
     A flight that leaves the grid is refused, unless the map is live: then the grid could not be chosen for
-    it, and what is seen from outside is left out until it is back.
+    it, and what is seen from outside is left out until it is back. Frames that a radar did not receive are left out.
     """
 
     grid: Grid
@@ -327,6 +334,7 @@ class MapStage:
     scatterer_pfa: float = 0.01  # probability that clutter alone gives a coherent scatterer
     scatterers: list[Scatterer] = field(default_factory=list)  # of calibrated frames, once finished
     _calibrated: dict[str, list[Frames]] = field(default_factory=dict)
+    health: HealthMonitor = field(default_factory=_health_monitor)
     _away: bool = False
     _mapper: Any = None
     _due: Due | None = None
@@ -338,6 +346,11 @@ class MapStage:
         """Return the map so far, once per `every_s` of recording."""
         from ullage.processing.occupancy import COHERENT, Mapper
 
+        # the first frames show the place of the vehicle, even if none is sound
+        sound = self.health.sound(chunk)
+        if not sound and self._mapper is not None:
+            return
+        chunk = sound or chunk
         if self.own_echo is not None:
             chunk = self.own_echo.clean(chunk)
         if self.live and not (chunk := self._inside(chunk)):

@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -288,6 +289,18 @@ def test_late_frames_drops_and_contacts_make_the_status_a_warning_once():
     assert (values["dropped"], values["contacts"], values["pose: bad"]) == ("1", "2", "1")
     assert values["most behind [s]"] == "1.500"
     assert status_of(status.message(2, counters, contacts=2))[0].level == 0  # nothing new
+
+
+def test_a_deaf_radar_makes_the_status_an_error():
+    wall_s = iter(range(100))
+    status, piece = RadarStatus("radars", late_s=1.0, now=lambda: next(wall_s)), followed(line())[0][0]
+    name, part = next(iter(piece.items()))
+    whole = replace(part, samples=np.zeros((40, len(part.range_m))), t_ns=part.t_ns[0] + 58_000_000 * np.arange(40),
+                    poses=None, truth=None)  # fmt: skip
+    status.add({**piece, name: whole}, 0.0)
+    message, values = status_of(status.message(0, Counters()))
+    assert (message.level, message.message) == (2, f"{name} without a signal")
+    assert values["faults so far"].startswith(f"{name}: without a signal from 0.0 s")
 
 
 def test_the_status_comes_once_a_second():

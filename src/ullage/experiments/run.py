@@ -17,6 +17,7 @@ from ullage.experiments.obstacle_table import ObstacleTable
 from ullage.experiments.report_collectors import QuietestFrames, RangeTime, SampledFrames
 from ullage.experiments.simulated import Simulated
 from ullage.pipeline import DetectStage, MapStage, Outcome, Sink, Source
+from ullage.processing.health import HealthMonitor
 from ullage.processing.own_echo import OwnEchoFilter
 from ullage.view.replay import MapHistory
 from ullage.world.scene import Scene
@@ -55,6 +56,7 @@ class Run:
     sampled: SampledFrames = field(default_factory=SampledFrames)
     quietest: QuietestFrames = field(default_factory=QuietestFrames)
     own_echo: OwnEchoFilter = field(default_factory=OwnEchoFilter)
+    health: HealthMonitor = field(default_factory=HealthMonitor)
     history: MapHistory = field(default_factory=MapHistory)
     plane: ImagePlane | None = None
     map: MapStage | None = None

@@ -199,7 +199,7 @@ def _patient(stages: list[Stage], under_way: Compiling, log: Log) -> list[Stage]
 def _stages(job: Run) -> list[Stage]:
     plan = job.scenario
     own = job.own_echo if plan.remove_own_echo else None
-    out: list[Stage] = [job.range_time, job.sampled, job.quietest]
+    out: list[Stage] = [job.health, job.range_time, job.sampled, job.quietest]
     if "detect" in job.tasks:
         job.detect = DetectStage(plan.detect.method, plan.detect.threshold, own_echo=own)
         out.append(job.detect)
@@ -222,7 +222,7 @@ def _stages(job: Run) -> list[Stage]:
         job.map = MapStage(grid, plan.map.method, plan.detect.threshold, live=job.live, own_echo=own, every_s=every_s,
                            floor_z_m=plan.map.floor_z_m, target_z_m=plane_m,
                            vehicle_radius_m=plan.map.vehicle_radius_m,
-                           scatterer_pfa=plan.map.scatterer_pfa)  # fmt: skip
+                           scatterer_pfa=plan.map.scatterer_pfa, health=job.health)  # fmt: skip
         out.append(job.map)
     if job.plane is not None:
         image_s = plan.image.every_s or (LIVE_S if job.live else WATCHED_S if job.watched else None)
@@ -290,6 +290,10 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
         places = job.map.scatterers if job.map is not None else []
         job.findings, found = verdict(part, maps[-1] if maps else None, places, job.marks, settled=job.settled)
         out |= {one.name: one for one in found}
+    faults = job.health.lines()
+    job.findings = [*job.findings, *(f"{fault}. Its frames of that time are not in the map." for fault in faults)]
+    if faults:
+        out["faults"] = Metric("faults", len(faults))
     if job.obstacles is not None:
         job.findings = [*job.findings, *job.obstacles.lines()]
         out |= {one.name: one for one in job.obstacles.metrics()}

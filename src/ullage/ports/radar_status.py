@@ -10,6 +10,7 @@ from ullage.data import Frames
 from ullage.ports import encode
 from ullage.ports.intake import Counters
 from ullage.ports.protocol import Passed
+from ullage.processing.health import HealthMonitor
 
 TOPIC = "/diagnostics"
 EVERY_S = 1.0
@@ -29,6 +30,7 @@ class RadarStatus:
         self._name, self._late_s, self._now = name, late_s, now
         self._frames: Counter[str] = Counter()
         self._late = 0
+        self._health = HealthMonitor()
         self._behind_s = self._most_behind_s = 0.0
         self._reported = (0, 0, 0)  # late frames, dropped messages and contacts, as of the last message
         self._given_s = -EVERY_S
@@ -40,6 +42,7 @@ class RadarStatus:
             frames: of each radar by name.
             behind_s: how long after they were due they were made [s].
         """
+        self._health.judge(frames)
         for name, part in frames.items():
             self._frames[name] += len(part)
             self._late += len(part) if behind_s > self._late_s else 0
@@ -48,7 +51,7 @@ class RadarStatus:
     def message(self, t_ns: int, counters: Counters, *, contacts: int = 0) -> Passed | None:
         """The counts so far as a DiagnosticArray; None where none is due.
 
-        Late frames, dropped messages and contacts since the last message make it a warning.
+        Late frames, dropped messages and contacts since the last message make it a warning, a faulty radar an error.
 
         Args:
             t_ns: stamp [ns].
@@ -63,16 +66,18 @@ class RadarStatus:
         self._reported = counts
         causes = [text for text, count in zip(("late frames", "dropped messages", "contacts"), fresh, strict=True)
                   if count > 0]  # fmt: skip
+        faults = self._health.faulty()
         values = [("frames simulated", str(self._frames.total()))]
         values += [(f"{name}: frames simulated", str(count)) for name, count in self._frames.items()]
         values += [("late frames", str(self._late)), ("behind [s]", f"{self._behind_s:.3f}")]
         values += [("most behind [s]", f"{self._most_behind_s:.3f}"), ("dropped", str(counts[1]))]
         values += [("contacts", str(contacts)), *counters.values()]
         self._most_behind_s = 0.0
-        text = ", ".join(causes) or "simulating"
+        values += [("faulty radars", ", ".join(faults)), ("faults so far", "; ".join(self._health.lines()))]
+        text = ", ".join([*faults, *causes]) or "simulating"
         return Passed(
             t_ns,
             TOPIC,
             encode.DIAGNOSTICS,
-            encode.diagnostics_message(t_ns, int(bool(causes)), self._name, text, values),
+            encode.diagnostics_message(t_ns, 2 if faults else int(bool(causes)), self._name, text, values),
         )

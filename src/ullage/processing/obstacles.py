@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ullage.antenna import boresight_pattern
 from ullage.arrays import Bools, Complexes, Floats, Longs
@@ -25,6 +24,7 @@ from ullage.geometry import C0, quat_matrix
 from ullage.processing.baseband import has_phase, noise_correlation
 from ullage.processing.detect import detect
 from ullage.processing.echoes import blind_m
+from ullage.processing.health import HealthMonitor
 from ullage.processing.own_echo import OwnEchoFilter
 from ullage.processing.range_tracks import Motion, RangeTracker, Track, TrackerSpec
 from ullage.specs import RadarSpec
@@ -109,7 +109,6 @@ class _Sensor:
     correlation: Complexes  # of the noise between bins
     fresh_ns: int | None = None
     confirmed: list[Track] = field(default_factory=list)
-    last: NDArray[Any] | None = None  # samples of the last frame
     right_way: int = 0  # frames that agree with the mount
     wrong_way: int = 0  # frames in which the strongest echo moves as if the sensor pointed the other way
     fault: str = ""
@@ -142,12 +141,14 @@ class ObstacleStage:
     tracker: TrackerSpec = field(default_factory=TrackerSpec)
     own_echo: OwnEchoFilter | None = field(default_factory=lambda: OwnEchoFilter(most=48, growth=1.5))
     _sensors: dict[str, _Sensor] = field(default_factory=dict)
+    _health: HealthMonitor = field(default_factory=HealthMonitor)
     _due: list[str] = field(default_factory=list)  # sensors whose own echo is to be estimated anew
 
     def __post_init__(self) -> None:
         for name, value in (("pfa", self.pfa), ("stale_s", self.stale_s)):
             if not value > 0:
                 raise InputError(f"{name} is {value}", where="ObstacleStage", allowed="> 0")
+        self._health.limit_s = self.stale_s
         for name, spec in (self.expected or {}).items():
             self._sensors[name] = _sensor(spec, self.tracker)
 
@@ -176,7 +177,8 @@ class ObstacleStage:
         """Return the obstacles at a time, also when no frame has come [ns]."""
         parts = list(self._sensors.values())
         stale = np.array([s.fresh_ns is None or t_ns - s.fresh_ns > self.stale_s * 1e9 for s in parts], bool)
-        fault = tuple(s.fault or ("no new frame" if late else "") for s, late in zip(parts, stale, strict=True))
+        causes = [self._health.fault(name, t_ns) or "no new frame" for name in self._sensors]
+        fault = tuple(s.fault or (why if late else "") for s, late, why in zip(parts, stale, causes, strict=True))
         valid = np.array([not text for text in fault], bool)
         tracks = [s.tracks_at(t_ns) for s in parts]
         near = [next((track for track in found if not track.outside), None) for found in tracks]
@@ -203,9 +205,11 @@ class ObstacleStage:
         self, events: list[tuple[int, str, int]], chunk: Mapping[str, Frames],
         found: Mapping[str, tuple[Detections, Longs]],
     ) -> Iterator[ObstacleSectors]:  # fmt: skip
+        sound = self._health.judge(chunk)
         for index, (t_ns, name, row) in enumerate(events):
             hits, edges = found[name]
-            self._step(self._sensors[name], chunk[name], row, hits, slice(edges[row], edges[row + 1]))
+            if sound[name][row]:
+                self._step(self._sensors[name], chunk[name], row, hits, slice(edges[row], edges[row + 1]))
             if index + 1 == len(events) or events[index + 1][0] != t_ns:
                 yield self.sectors(t_ns)
         self._learn(chunk)  # the pilot has its distances by now
@@ -229,11 +233,6 @@ class ObstacleStage:
             self.own_echo.renew(self._due.pop(0))
 
     def _step(self, sensor: _Sensor, frames: Frames, row: int, hits: Detections, which: slice) -> None:
-        samples = frames.samples[row]
-        repeated = sensor.last is not None and np.array_equal(samples, sensor.last)
-        sensor.last = samples
-        if repeated or not samples.any():  # no noise: the sensor does not receive
-            return
         t_ns = int(frames.t_ns[row])
         motion = _motion(frames, row, sensor)
         snr = np.nan_to_num(hits.snr_db[which], nan=60.0, posinf=60.0)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from ullage import checks, plugins
 from ullage.data import Recording, sensors_of
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageWarning
 from ullage.grids import Changes, Grid, OccupancyMap
+from ullage.processing.health import judged
 from ullage.processing.own_echo import without_own_echo
 from ullage.processing.scatterers import PFA, find_scatterers, with_scatterers
 
@@ -88,7 +90,8 @@ def map_occupancy(
     """Map the occupancy from a recording.
 
     Args:
-        frames: one sensor's, or several by name; sensors may differ in settings and rate.
+        frames: one sensor's, or several by name; sensors may differ in settings and rate. Those that a radar did not
+            receive, as when it is deaf or repeats itself, are left out with a warning (`processing.health`).
         grid: a plane or a volume that holds the flight.
         method: "ullage", the best one: "likelihood" on a plane, "rules" in a volume; "likelihood", surfaces by one
             likelihood ratio; "rules", all that each profile says; "elfes", the thesis' baseline; or the name of one
@@ -106,6 +109,11 @@ def map_occupancy(
     Raises:
         InputError: the method is unknown, or the frames cannot be mapped.
     """
+    sound, faults = judged(frames)
+    frames = sound or frames  # without a sound frame, the place of the vehicle is still free
+    if faults:
+        text = f"{'; '.join(faults)}: frames that were not received are left out"
+        warnings.warn(text, UllageWarning, stacklevel=2)
     if remove_own_echo:
         frames = without_own_echo(frames)
     calibrated = [part for part in sensors_of(frames) if part.calibration is not None and method in COHERENT]

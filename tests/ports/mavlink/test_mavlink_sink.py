@@ -114,6 +114,15 @@ def test_silent_radars_make_the_sink_silent_and_its_state_critical(autopilot: Au
         deliver(out, autopilot)
 
 
+def test_a_faulty_radar_is_told_to_the_pilot_until_it_is_sound(autopilot: Autopilot, said: list[str]) -> None:
+    with sink(autopilot, said) as out:
+        for k, fault in enumerate(("", "deaf", "deaf", "")):
+            out.write(replace(around(k / 5), fault=("", fault, "", ""), valid=np.array([True, not fault, True, True])))
+    texts = [(one.severity, one.text) for one in autopilot.of("STATUSTEXT")]
+    assert texts == [(2, "radar radar1: deaf; its sector is blind"), (5, "radar radar1: sound again")]
+    assert any("radar1: deaf" in line for line in said)
+
+
 def test_distances_older_than_half_a_second_are_dropped_and_counted(autopilot: Autopilot, said: list[str]) -> None:
     with sink(autopilot, said) as out:
         deliver(out, autopilot)  # the stream is of the present

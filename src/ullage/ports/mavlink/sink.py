@@ -23,6 +23,8 @@ AHEAD_S = 2.0
 """How far the source may run ahead of what was sent [s of stream]."""
 LEAST_HZ = 10.0
 """Fewer distances a second make an autopilot slow or stop."""
+TELL_S = 10.0
+"""Between two texts of a fault that lasts [s]."""
 TOPIC = "OBSTACLE_DISTANCE"
 
 
@@ -62,6 +64,8 @@ class MavlinkSink:
         self._at_once: bool | None = None if options.pace else True  # None: the first distances decide
         self._due_ns: int | None = None  # when the next distances are sent, by the clock of the stream
         self._rate = _Rate(self._log)
+        self._faults: dict[str, str] = {}  # that the autopilot was told of
+        self._told_s = 0.0
         self._queue: queue.Queue[ObstacleSectors | None] = queue.Queue(max(round(AHEAD_S * options.obstacle_hz), 1))
         self._error: BaseException | None = None
         self._thread: threading.Thread | None = threading.Thread(target=self._run, name="ullage mavlink sink")
@@ -155,8 +159,26 @@ class MavlinkSink:
             for message in distance_sensors(sectors, t_ns // 1_000_000):
                 self.link.send(message)
         self.link.send(obstacle_distance(sectors, t_ns // 1000))
-        self.link.state = int(self.link.dialect.MAV_STATE_ACTIVE)
+        self._tell_faults(sectors)
         self._rate.count(time.monotonic())
+
+    def _tell_faults(self, sectors: ObstacleSectors) -> None:
+        """Make a faulty radar our critical state and a text on the pilot's screen: ArduPilot takes no data as free."""
+        d, now = self.link.dialect, time.monotonic()
+        faults = {name: why for name, why in zip(sectors.sensors, sectors.fault, strict=True) if why}
+        self.link.state = int(d.MAV_STATE_CRITICAL if faults else d.MAV_STATE_ACTIVE)
+        again = bool(faults) and now - self._told_s > TELL_S
+        for name, why in faults.items():
+            if again or name not in self._faults:
+                self._told_s = now
+                self._send_text(d.MAV_SEVERITY_CRITICAL, f"radar {name}: {why}; its sector is blind")
+        for name in self._faults.keys() - faults.keys():
+            self._send_text(d.MAV_SEVERITY_NOTICE, f"radar {name}: sound again")
+        self._faults = faults
+
+    def _send_text(self, severity: int, text: str) -> None:
+        self._log(f"{self.link.name}: {text}")
+        self.link.send(self.link.dialect.MAVLink_statustext_message(severity, text.encode("ascii", "replace")[:50]))
 
     def close(self) -> None:
         """Send what waits, and leave the link."""

@@ -18,6 +18,7 @@ from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_prese
 from ullage.ports.rate_limiter import LATE_S, RateLimiter, StampOrder
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import SinkOptions
+from ullage.processing.health import HealthMonitor
 
 AHEAD_S = 2.0
 """How far the source may run ahead of what was published [s of stream]; at least two of its pieces."""
@@ -62,6 +63,7 @@ class Ros2Sink:
         self._progress = threading.Condition()
         self._error: BaseException | None = None
         self._map_subscribers, self._sent, self._late_s, self._reported_s = 0, 0, 0.0, time.monotonic()
+        self._health = HealthMonitor()
         self._closing = threading.Event()
         self._thread: threading.Thread | None = threading.Thread(target=self._run, name="ullage ros2", daemon=True)
         self._thread.start()
@@ -76,6 +78,7 @@ class Ros2Sink:
             raise InputError("the sink is closed", where="ros2:")
         found = self._publisher.messages(item)
         parts = sensors_of(item) if isinstance(item, Frames | Mapping) else []
+        self._health.judge({part.sensor: part for part in parts})
         if self._at_once is None and parts:
             self._at_once = is_present(min(int(part.t_ns[0]) for part in parts))
         if self._at_once or (found and found[0].quality == "relayed"):  # forwarded messages have no pace
@@ -151,11 +154,14 @@ class Ros2Sink:
         self._publisher.map_changes.wanted |= subscribers > self._map_subscribers
         self._map_subscribers = subscribers
         late, rate = self._late_s, self._sent / (now - self._reported_s)
-        text = "publishing" if late < LATE_S else f"{late:.1f} s behind its pace"
+        faults = self._health.faulty()
+        text = ", ".join(faults) if faults else "publishing" if late < LATE_S else f"{late:.1f} s behind its pace"
         values = [("messages a second", f"{rate:.1f}"), ("most behind [s]", f"{late:.3f}")]
         values += [("waiting messages", str(self._messages.qsize()))]
         values += [(f"{topic}: frames", str(count)) for topic, count in self._publisher.counts.items()]
-        data = encode.diagnostics_message(t_ns, int(late >= LATE_S), f"{self._options.node}: sink", text, values)
+        values += [("faults so far", "; ".join(self._health.lines()))]
+        level = 2 if faults else int(late >= LATE_S)
+        data = encode.diagnostics_message(t_ns, level, f"{self._options.node}: sink", text, values)
         self._peer.send(Message(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))
         self._sent, self._late_s, self._reported_s = 0, 0.0, now
 
