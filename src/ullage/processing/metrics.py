@@ -194,17 +194,18 @@ def _flyable(judged: _Scored) -> list[Metric]:
 
 def _declared_free(omap: OccupancyMap, surface: Surface) -> Bools:
     """Mark the surface points (s) whose cells are all free."""
-    return np.all([omap.free.ravel()[side] for side in _sides(omap.grid, surface)], axis=0)
+    before, behind = _sides(omap.grid, surface)
+    return np.asarray(omap.free.ravel()[before] & omap.free.ravel()[behind])
 
 
-def _sides(grid: Grid, surface: Surface) -> list[Longs]:
+def _sides(grid: Grid, surface: Surface) -> tuple[Longs, Longs]:
     """Flat index of the cells a hair before and behind each surface point: two where it lies on a cell's border."""
     out = []
     for side in (-0.1, 0.1):
         cell, _ = grid.index(surface.points + side * grid.step_m * surface.normals)
         cell = np.clip(cell, 0, np.asarray(grid.shape) - 1)
         out.append(np.ravel_multi_index(tuple(cell.T), grid.shape))
-    return out
+    return out[0], out[1]
 
 
 def _known(omap: OccupancyMap) -> Bools:
@@ -294,7 +295,7 @@ def worst_moment(maps: Sequence[tuple[float, OccupancyMap]], scene: Scene, frame
     found = []
     for at, omap in maps:
         cells = cell_centres(grid, np.flatnonzero(omap.occupied))[:, : grid.dims]
-        false = int((tree.query(cells)[0] > MATCH_M).sum()) if len(cells) else 0
+        false = np.count_nonzero(np.asarray(tree.query(cells)[0]) > MATCH_M) if len(cells) else 0
         found.append((float(at), float(false), _share(_declared_free(omap, surface)[surface.seen])))
     out = []
     for name, unit, k in (("worst_false_occupied", "cells", 1), ("worst_surface_declared_free", "", 2)):
