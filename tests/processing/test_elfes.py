@@ -1,3 +1,5 @@
+import dataclasses
+import itertools
 import warnings
 
 import numpy as np
@@ -212,3 +214,19 @@ def test_unknown_method_names_the_known_ones():
     with pytest.raises(ul.InputError, match="ullage, likelihood, rules, elfes"):
         ul.map_occupancy(echoes(Trajectory.stationary(), [3.0]), GRID, method="magic")
     warnings.resetwarnings()
+
+
+def test_the_map_does_not_hang_on_the_order_of_the_radars():
+    path = Trajectory.line((-2, 0, 0), (2, 0, 0), rate_hz=5, yaw_deg=70)
+    rng = np.random.default_rng(3)
+    frames = {
+        name: dataclasses.replace(echoes(path, 3 + 0.1 * rng.standard_normal(len(path))), sensor=name)
+        for name in ("right", "front", "left")
+    }
+    live = Mapper(GRID, method="elfes")
+    for k in range(len(path)):
+        live.update({name: part[k : k + 1] for name, part in frames.items()})
+    assert live.map().occupied.sum() > 20
+    for names in itertools.permutations(frames):
+        whole = ul.map_occupancy({name: frames[name] for name in names}, GRID, method="elfes", remove_own_echo=False)
+        np.testing.assert_array_equal(whole.percent, live.map().percent)

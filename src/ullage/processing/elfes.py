@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ SPREAD_M = 0.15
 
 
 class ElfesMapper:
-    """Streaming Elfes grid; updating with pieces gives the map of the whole.
+    """Streaming Elfes grid; updating with pieces gives the map of the whole, since frames are taken by their stamps.
 
     The four steps: readings outside the range limits are rejected; each cell of the lobe gets a chance to be empty
     (f_e) or occupied (f_o); cells hold 0..100 or unknown; readings are added with `a + b - a b`, after each reading's
@@ -96,23 +96,29 @@ class ElfesMapper:
         """
         parts = in_order(frames, self.grid)
         self.grid = plane_of(self.grid, parts)
-        for part in parts:
-            self._insert(part)
+        readings = [found for part in parts for found in self._readings(part)]
+        box = np.zeros(4, np.int64)
+        for _, _, reading in sorted(
+            readings, key=lambda found: found[:2]
+        ):  # each reading changes what the next one does
+            self._blend(reading, box)
+            self.traversed = slice(int(box[0]), int(box[1])), slice(int(box[2]), int(box[3]))
 
-    def _insert(self, frames: Frames) -> None:
+    def _readings(self, frames: Frames) -> Iterator[tuple[int, str, Reading]]:
+        """Time, sensor and reading of each frame within the range limits."""
         reach, found = first_echo(frames, threshold=self._threshold)
         near = max(frames.spec.thesis.min_range_m, float(frames.range_m[0]))
         last = min(float(frames.range_m[-1]), frames.ray_model.max_range_m if frames.ray_model else np.inf)
         path = frames.believed
         ahead = quat_matrix(path.quat_xyzw)[:, :2, 0]
-        positions, box = path.position[:, :2].tolist(), np.zeros(4, np.int64)
+        times, positions = frames.t_ns.tolist(), path.position[:, :2].tolist()
         for i in range(len(frames)):
             level = float(np.hypot(*ahead[i]))
             if level < np.sin(np.radians(20)) or (found[i] and not near < reach[i] < last):
                 continue
             (x, y), yaw = positions[i], float(np.arctan2(ahead[i, 1], ahead[i, 0]))
-            self._blend(Reading(x, y, yaw, near, float(reach[i]) if found[i] else last, bool(found[i])), box)
-            self.traversed = slice(int(box[0]), int(box[1])), slice(int(box[2]), int(box[3]))
+            reading = Reading(x, y, yaw, near, float(reach[i]) if found[i] else last, bool(found[i]))
+            yield times[i], frames.sensor, reading
 
     def _blend(self, reading: Reading, box: Longs) -> None:
         """Add one reading; `box` takes the rows and columns that it reached."""

@@ -19,15 +19,22 @@ JUMP_SPEED_M_S = 20.0
 def in_order(frames: Recording, grid: Grid) -> list[Frames]:
     """The frames of each sensor, checked: finite samples, poses, a flight inside the grid.
 
+    Sensors come by how far they look from straight ahead, then by name: a map never hangs on the order of a dict.
+
     Raises:
         InputError: naming sensor and frame.
     """
-    parts = sensors_of(frames)
+    parts = sorted(sensors_of(frames), key=_from_ahead)
     for part in parts:
         _refuse_bad_samples(part)
         _warn_of_jumps(part)
         _refuse_outside(part, grid)
     return parts
+
+
+def _from_ahead(frames: Frames) -> tuple[float, str]:
+    ahead = float(frames.spec.mount.body_from_sensor()[0, 0])  # cosine of the angle from the body's x axis
+    return -round(ahead, 6), frames.sensor
 
 
 def _refuse_bad_samples(frames: Frames) -> None:
