@@ -108,6 +108,19 @@ def test_every_frame_reaches_the_sink_and_the_map_is_that_of_the_whole() -> None
     assert np.array_equal(outcome.results[-1].percent, whole.percent)
 
 
+def test_every_detection_is_counted() -> None:
+    frames = ul.simulate(ul.scenes.room((4, 3, 3)), ul.Trajectory.line((-1, 0, 0), (1, 0, 0), 0.5, 9),
+                         ul.RadarSpec.preset("x4m05"), seed=3)  # fmt: skip
+    stage, kept = DetectStage(None, own_echo=None), Kept()
+    ul.run(frames, stages=[stage], sinks=[kept])
+    given = [item for item in kept.items if isinstance(item, ul.Detections)]
+    assert stage.found == sum(map(len, given)) == len(ul.detect(frames, method="peaks", remove_own_echo=False))
+    assert stage.found > len(frames)
+    rays, first = thesis_frames(), DetectStage(None, own_echo=None)
+    ul.run(rays, stages=[first])
+    assert first.found == len(ul.detect(rays, method="first_peak", remove_own_echo=False)) <= len(rays)
+
+
 def test_frames_in_memory_are_a_source() -> None:
     frames = thesis_frames()
     for source in (frames, {"front": frames}, [frames]):

@@ -155,7 +155,7 @@ class SensingSpec(Spec):
 class DetectSpec(Spec):
     """Echoes judged to be objects."""
 
-    method: DetectMethod = "first_peak"
+    method: DetectMethod | None = Field(None, description="none: first_peak for the thesis' echoes, else peaks")
     threshold: float | None = Field(None, gt=0, description="none: 0.038 for thesis amplitudes, else from the noise")
 
 

@@ -285,7 +285,7 @@ class Due:
 class DetectStage:
     """Detections, piece by piece."""
 
-    method: DetectMethod = "first_peak"
+    method: DetectMethod | None = "first_peak"  # None: the first peak of the thesis' echoes, else all peaks
     threshold: float | None = None
     own_echo: OwnEchoFilter | None = field(default_factory=_own_echo_filter)  # None: the radar's own echo stays
     found: int = 0
@@ -300,7 +300,8 @@ class DetectStage:
         if self.own_echo is not None:
             chunk = self.own_echo.clean(chunk)
         for name, part in chunk.items():
-            hits = detect(part, method=self.method, threshold=self.threshold, remove_own_echo=False)
+            method = self.method or ("first_peak" if part.ray_model else "peaks")
+            hits = detect(part, method=method, threshold=self.threshold, remove_own_echo=False)
             before = self._seen.get(name, 0)
             self._seen[name] = before + len(part)
             self.found += len(hits)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -81,3 +82,12 @@ def test_a_figure_is_as_wide_as_the_part_of_the_map_that_it_draws(tmp_path: Path
     first, last = np.flatnonzero(ink)[[0, -1]]
     assert first < 0.1 * len(ink)
     assert last > 0.9 * len(ink)
+
+
+def test_a_map_without_walls_is_drawn_without_a_warning(tmp_path: Path) -> None:
+    grid = ul.Grid((-1.0, -1.0, 0.0), 0.1, (20, 20))
+    omap = ul.OccupancyMap(grid, np.full(grid.shape, -1, np.int8))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        figures.map_figure(tmp_path / "map.png", omap, title="nothing")
+        figures.image_figure(tmp_path / "image.png", ul.Image(grid, np.ones(grid.shape, np.complex64)), title="flat")

@@ -150,10 +150,16 @@ def map_figure(
         mesh = draw_map(axes, omap, walls=walls, path=flown, marks=marks)
         figure.set_size_inches(_size_about(axes))
         figure.colorbar(mesh, ax=axes, label="chance of being occupied [%]", shrink=0.8)
-        figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+        _legend_below(figure, axes)
         figure.suptitle(title, fontsize=10)
         axes.set_title(f"{omap.method}, {omap.grid.step_m:g} m cells; grey unknown, striped ambiguous", fontsize=8)
     return Path(path)
+
+
+def _legend_below(figure: Figure, axes: Axes) -> None:
+    """Put a legend under the picture where something in it has a name."""
+    if axes.get_legend_handles_labels()[1]:
+        figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
 
 
 def _size_about(axes: Axes) -> tuple[float, float]:
@@ -211,7 +217,7 @@ def image_figure(
     with drawing(path, size_in=(7.5, min(max(7.0 * ny / nx, 3.2), 9.0))) as (figure, axes):
         mesh = draw_image(axes, image, walls=walls, path=flown, marks=marks, span_db=span_db)
         figure.colorbar(mesh, ax=axes, label="amplitude below the brightest cell [dB]", shrink=0.8)
-        figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+        _legend_below(figure, axes)
         figure.suptitle(title, fontsize=10)
         about = [f"{image.method}, {image.grid.step_m:g} m cells", *notes[:1]]
         axes.set_title("\n".join([", ".join(about), *notes[1:]]), fontsize=8)

@@ -52,7 +52,7 @@ GROUPS: dict[str, dict[str, str]] = {
     "Radar and run": {
         "frames": "Frames of all radars.",
         "duration": "Time that the frames cover.",
-        "detections": "Echoes judged to be objects.",
+        "detections": "Echoes judged to be objects; first_peak judges at most one a frame.",
         "real_time_factor": "Seconds of flight processed in a second.",
         "own_echo_share": "Share of the received energy in the radar's own echo, which was removed.",
         "own_echo_extent": "Range up to which the own echo reaches.",
