@@ -111,6 +111,82 @@ def test_frames_with_poses_at_other_times_are_refused() -> None:
         ul.Frames(good.samples, good.range_m, good.t_ns, good.spec, good.poses[:5])
 
 
+def wall(n: int = 80, *, noise: float = 0.01) -> dict[str, np.ndarray]:
+    """Amplitudes of a radar that looks left while it passes a wall at 3 m."""
+    profiles = noise * np.abs(np.random.default_rng(0).standard_normal((n, 120)))
+    profiles[:, 60] += 1
+    places = np.c_[np.linspace(-2, 2, n), np.zeros((n, 2))]
+    return {
+        "samples": profiles,
+        "range_m": 0.05 * np.arange(120),
+        "times_s": 0.05 * np.arange(n),
+        "positions_m": places,
+    }
+
+
+LEFT = (0, 0, np.sqrt(0.5), np.sqrt(0.5))
+AROUND = ul.Grid.covering([[-3, -2, -1], [3, 4, 1]], 0.1)
+
+
+def test_frames_from_arrays_have_the_axis_and_the_rate_of_the_arrays() -> None:
+    one = wall()
+    for turns in (LEFT, np.tile(LEFT, (80, 1))):
+        got = ul.Frames.from_arrays(**one, quaternions_xyzw=turns)
+        np.testing.assert_allclose(got.spec.range_m, one["range_m"], atol=1e-9)
+        assert got.spec.fps == pytest.approx(20)
+        assert got.poses is not None
+        np.testing.assert_allclose(got.poses.position, one["positions_m"])
+        np.testing.assert_allclose(got.poses.quat_xyzw[7], LEFT)
+    assert ul.Frames.from_arrays(one["samples"], one["range_m"], one["times_s"]).poses is None
+
+
+@pytest.mark.parametrize("step_m", [0.002, 0.05, 0.5])
+def test_any_range_axis_makes_frames_without_a_preset(step_m: float) -> None:
+    axis, noise = 0.3 + step_m * np.arange(64), np.random.default_rng(0).standard_normal((2, 9, 64))
+    for samples, output in ((noise[0] + 1j * noise[1], "baseband"), (noise[0], "rf"), (abs(noise[0]), "baseband")):
+        got = ul.Frames.from_arrays(samples, axis, np.arange(9) / 5, center_hz=6.5e9)
+        assert (got.spec.output, got.spec.center_hz) == (output, 6.5e9)
+        np.testing.assert_allclose(got.spec.range_m, axis, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"times_s": 1e18 + np.arange(80)}, "times_s is not in seconds"),
+        ({"range_m": np.zeros(120)}, "range_m .*rising"),
+        ({"range_m": np.arange(60.0)}, "range_m has shape"),
+        ({"positions_m": np.zeros((3, 3))}, "position"),
+        ({"carrier_hz": 6e9}, "carrier_hz"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(change: dict, words: str) -> None:
+    with pytest.raises(ul.InputError, match=words):
+        ul.Frames.from_arrays(**(wall() | change))
+
+
+def test_a_wall_of_plain_arrays_is_mapped() -> None:
+    omap = ul.map_occupancy(ul.Frames.from_arrays(**wall(), quaternions_xyzw=LEFT), AROUND, method="elfes")
+    rows, _ = np.nonzero(omap.occupied)
+    assert abs(np.median(AROUND.y_m[rows]) - 3) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"quaternions_xyzw": (0, 0, 0, 1)}, r"stays at 3\.00 m while the radar moves 4\.0 m the way it looks"),
+        ({"samples": wall()["samples"] - np.eye(1, 120, 60)}, "no echo stands out of the noise"),
+        ({"positions_m": np.zeros((80, 3))}, "no radar moves"),
+        ({"grid": ul.Grid.covering([[-3, -1, -1], [3, 1, 1]], 0.1)}, "outside the grid"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_an_empty_map_says_why(change: dict, words: str) -> None:
+    given = wall() | {"quaternions_xyzw": LEFT, "grid": AROUND} | change
+    grid = given.pop("grid")
+    with pytest.warns(ul.UllageWarning, match=f"no cell of the map is occupied: .*{words}"):
+        ul.map_occupancy(ul.Frames.from_arrays(**given), grid, method="likelihood")
+
+
 def test_frames_without_poses_say_so_when_poses_are_wanted() -> None:
     good = frames()
     bare = ul.Frames(good.samples, good.range_m, good.t_ns, good.spec)

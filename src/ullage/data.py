@@ -13,7 +13,7 @@ from ullage import checks
 from ullage.arrays import Floats, Longs, Singles
 from ullage.display import Displayed, plots
 from ullage.errors import InputError, shown
-from ullage.geometry import matrix_quat, quat_matrix, rotations, rpy_quat
+from ullage.geometry import C0, matrix_quat, quat_matrix, rotations, rpy_quat
 from ullage.specs import RadarSpec, ThesisSpec
 
 if TYPE_CHECKING:
@@ -243,6 +243,8 @@ MOST_SAMPLES = 20_000_000
 Unit = Literal["path_gain", "normalised", "thesis"]
 LEAST_BINS = 2
 """Range bins of a frame: two have a width."""
+MOST_S = 9e9
+"""Times lie within 285 years of zero, as nanoseconds in 64 bits do [s]."""
 UNEVEN = 0.01
 """Largest deviation of a range bin's width from the median, relative."""
 
@@ -317,6 +319,54 @@ class Frames(Displayed):
                 )
         for name, value in (("samples", samples), ("range_m", range_m), ("t_ns", t_ns)):
             object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        samples: ArrayLike,
+        range_m: ArrayLike,
+        times_s: ArrayLike,
+        positions_m: ArrayLike | None = None,
+        quaternions_xyzw: ArrayLike | None = None,
+        *,
+        sensor: str = "radar",
+        **radar: Any,
+    ) -> Frames:
+        """Frames of any radar from plain arrays; the range axis and the frame rate come from the arrays.
+
+        Args:
+            samples: profiles (n, b): complex baseband, real RF, or amplitudes, which are real and never negative.
+            range_m: range of each bin (b), evenly spaced [m].
+            times_s: of each frame (n), rising [s].
+            positions_m: of the radar in the world (n, 3) [m], z up; None: unknown, so that nothing can be mapped.
+            quaternions_xyzw: world_from_radar (n, 4), or one for all (4). The radar looks along its x axis, with z up.
+                None: along the world's x axis.
+            sensor: name of the radar.
+            **radar: fields of `RadarSpec`, such as center_hz, which images need. Without bandwidth_hz it is that of the
+                X4M05, or what the bins can hold.
+
+        Raises:
+            InputError: shapes or values do not fit together, naming the argument.
+        """
+        given, axis = checks.as_given("samples", samples), np.atleast_1d(checks.as_given("range_m", range_m))
+        seconds = np.atleast_1d(checks.array("times_s", times_s, np.float64))
+        if seconds.ndim != 1 or not np.isfinite(seconds).all() or abs(seconds).max(initial=0) > MOST_S:
+            raise InputError("times_s is not in seconds", where="from_arrays", allowed=f"(n,) within {MOST_S:g} s")
+        if axis.ndim != 1 or len(axis) < LEAST_BINS or not np.isfinite(axis).all() or not np.all(np.diff(axis) > 0):
+            allowed = f"(bins,) rising and finite [m], {LEAST_BINS} bins or more"
+            raise InputError(f"range_m has shape {axis.shape} or does not rise", where="from_arrays", allowed=allowed)
+        t_ns = np.rint(seconds * 1e9).astype(np.int64)
+        signed = not np.iscomplexobj(given) and bool(np.any(given < 0))
+        width = min(RadarSpec().bandwidth_hz, C0 / 2 / float(np.median(np.diff(axis))))
+        spec = RadarSpec(name="arrays").on_axis(
+            axis, t_ns, **{"output": "rf" if signed else "baseband", "bandwidth_hz": width, **radar}
+        )
+        poses = None
+        if positions_m is not None:
+            turns = checks.array("quaternions_xyzw", (0, 0, 0, 1) if quaternions_xyzw is None else quaternions_xyzw)
+            places = checks.array("positions_m", positions_m)
+            poses = Trajectory(t_ns, places, np.tile(turns, (len(t_ns), 1)) if turns.shape == (4,) else turns)
+        return cls(given, axis, t_ns, spec, poses, sensor=sensor, unit="normalised")
 
     def _check_kinds(self) -> None:
         """Refuse fields of another type, which no processor could use."""

@@ -328,6 +328,25 @@ class RadarSpec(Spec):
         """A checked copy with some fields changed."""
         return type(self)(**_over({name: getattr(self, name) for name in type(self).model_fields}, changes))
 
+    def on_axis(self, range_m: NDArray[np.float64], t_ns: NDArray[np.int64], **changes: Any) -> Self:
+        """A checked copy with the range axis and the frame rate of a recording.
+
+        Args:
+            range_m: of each bin (b), evenly spaced [m].
+            t_ns: of each frame (n) [ns].
+            **changes: further fields; `output` is "rf" or "baseband".
+
+        Raises:
+            InputError: a value is out of bounds.
+        """
+        bin_m = float(range_m[-1] - range_m[0]) / (len(range_m) - 1)
+        decimation = 1 if changes.get("output", self.output) == "rf" else self.decimation
+        step = np.diff(t_ns)
+        fps = 1e9 / float(np.median(step[step > 0])) if (step > 0).any() else self.fps
+        axis = {"decimation": decimation, "sampling_hz": decimation * C0 / (2 * bin_m), "bins": len(range_m),
+                "range_start_m": float(range_m[0]), "fps": fps}  # fmt: skip
+        return self.but(**axis | changes)
+
     @model_validator(mode="before")
     @classmethod
     def _names_of_the_x4(cls, values: Any) -> Any:

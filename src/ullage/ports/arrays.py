@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from ullage.arrays import Floats, Longs
 from ullage.data import UNEVEN, Trajectory
 from ullage.errors import InputError, UllageWarning
-from ullage.geometry import C0
 from ullage.ports import containers
 from ullage.ports.protocol import mend_clock, warn_of_saturation
 from ullage.ports.tracks import good_poses
@@ -202,16 +201,8 @@ def _spec(
     samples: NDArray[Any], range_m: Floats, t_ns: Longs, base: RadarSpec, stated: dict[str, float], path: Path
 ) -> RadarSpec:
     """The radar with the band, range axis and frame rate of the file."""
-    real = not np.iscomplexobj(samples)
-    bin_m = float(range_m[-1] - range_m[0]) / (len(range_m) - 1)
-    decimation = 1 if real else base.decimation
-    step = np.diff(t_ns)
-    fps = 1e9 / float(np.median(step[step > 0])) if (step > 0).any() else base.fps
     try:
-        return base.but(
-            output="rf" if real else "baseband", decimation=decimation, sampling_hz=decimation * C0 / (2 * bin_m),
-            bins=len(range_m), range_start_m=float(range_m[0]), fps=fps, **stated,
-        )  # fmt: skip
+        return base.on_axis(range_m, t_ns, output="baseband" if np.iscomplexobj(samples) else "rf", **stated)
     except InputError as error:
         raise InputError(f"its values make no radar: {error}", where=path) from None
 

@@ -12,6 +12,7 @@ from ullage import checks, plugins
 from ullage.data import Recording, sensors_of
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import Changes, Grid, OccupancyMap
+from ullage.processing.empty_map import why_empty
 from ullage.processing.health import judged
 from ullage.processing.own_echo import without_own_echo
 from ullage.processing.scatterers import PFA, find_scatterers, with_scatterers
@@ -87,7 +88,7 @@ def map_occupancy(
     scatterer_pfa: float = PFA,
     **options: Any,
 ) -> OccupancyMap:
-    """Map the occupancy from a recording.
+    """Map the occupancy from a recording; a map without an occupied cell says why in a warning.
 
     Args:
         frames: one sensor's, or several by name; sensors may differ in settings and rate. Those that a radar did not
@@ -114,6 +115,7 @@ def map_occupancy(
     if faults:
         text = f"{'; '.join(faults)}: frames that were not received are left out"
         warnings.warn(text, UllageWarning, stacklevel=2)
+    received = frames
     if remove_own_echo:
         frames = without_own_echo(frames)
     calibrated = [part for part in sensors_of(frames) if part.calibration is not None and method in COHERENT]
@@ -127,4 +129,7 @@ def map_occupancy(
     omap = mapper.map()
     for part in calibrated:
         omap = with_scatterers(omap, find_scatterers(part, z_m=target_z_m, pfa=scatterer_pfa))
+    if not omap.occupied.any():
+        text = f"no cell of the map is occupied: {why_empty(received, frames, omap.grid)}"
+        warnings.warn(text, UllageWarning, stacklevel=2)
     return omap
