@@ -105,6 +105,54 @@ def test_three_devices_give_what_was_measured_by_hand() -> None:
     assert -7 < pulson.misfit["phase_drift"].value < -4.5  # its clock wanders by 5.8 mrad a frame; not simulated
 
 
+PARTS = {
+    "x4/xethru_datafloat_20190614_141837.dat": [(0, 500), (2000, 2200), (5000, 5400), (6200, 6600), (7500, 9128)],
+    "x4/xethru_baseband_iq_20170913_150437.dat": [(0, 514), (0, 150), (150, 514), (200, 400), (300, 500)],
+    "pulson440/rail_a": [(0, 100), (0, 200), (100, 500), (300, 600)],
+    "pulson440/flight_a": [(0, 800), (0, 200), (200, 500), (500, 800)],
+}
+THERMAL = dict(zip(PARTS, (1.19e-3, 1.95e-3, 7.9e3, 9.65e3), strict=True))
+"""Noise of each device, measured on the whole of its recording."""
+
+
+MOVES = {(150, 514), (200, 400), (300, 500), (100, 500), (300, 600), (200, 500), (500, 800)}
+
+
+@needs_data
+@pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")
+@pytest.mark.parametrize("name", PARTS)
+def test_parts_of_a_recording_give_its_noise_within_half_a_db_or_are_refused(name: str) -> None:
+    whole = ul.open(DATA / name).frames()
+    assert isinstance(whole, ul.Frames)
+    for part in PARTS[name]:
+        if part in MOVES:
+            with pytest.raises(InputError, match="at rest"):
+                ul.Receiver.fit(whole[slice(*part)])
+            continue
+        thermal = ul.Receiver.fit(whole[slice(*part)]).radar.noise.thermal
+        assert abs(20 * np.log10(thermal / THERMAL[name])) < 0.5, part
+
+
+@pytest.mark.parametrize("speed_m_s", [0.02, 0.1, 0.5])
+def test_a_radar_that_never_stands_is_refused_and_not_fitted(known: ul.RadarSpec, speed_m_s: float) -> None:
+    quiet = known.but(iterations=64, pulses_per_step=87)
+    away = ul.Trajectory.line((-2, 0.2, 0), (2, 0.2, 0), speed_m_s=speed_m_s, rate_hz=25)
+    with pytest.raises(InputError, match="at rest"):
+        ul.Receiver.fit(recorded(quiet, away[: min(len(away), 160)]))
+
+
+def test_noise_that_the_lattice_contradicts_is_refused(known: ul.RadarSpec) -> None:
+    from ullage.radar.receiver import unit
+
+    spec = ul.RadarSpec.preset("x4m05", iterations=4, pulses_per_step=1)
+    loud = spec.but(noise=spec.noise.but(thermal=1.16e-2))
+    frames = recorded(loud, at_rest(100))
+    values = replace(frames, samples=frames.samples.astype(complex) * unit(spec), unit="normalised",
+                     spec=ul.RadarSpec.preset("x4m05"))  # fmt: skip
+    with pytest.raises(InputError, match="the noise by 20 dB from the 4 counts that the lattice shows"):
+        ul.Receiver.fit(values)
+
+
 def bad(still: ul.Frames) -> dict[str, tuple[object, str]]:
     """Recordings that cannot be fitted, and what is said of each."""
     spec = still.spec

@@ -5,8 +5,10 @@ The method needs no calibration target. While the radar and its surroundings sta
     x_i = (1 + a_i) exp(j phi_i) m + n_i,
 
 with m the mean profile, phi_i and a_i the phase and amplitude errors common to a frame, and n_i the additive noise
-[X4Recordings]. Differences of successive frames remove m and slow drift. Bins without strong echoes give the variance
-of n. The covariance of relative changes between strong bins so far apart that they share no noise gives those of phi
+[X4Recordings]. Differences of successive frames remove m and slow drift. At rest they are noise, whose correlation
+between bins is that of the receiver's filter; echoes that move are as wide as the pulse and correlate more. This law
+tells which frames are at rest. Bins without strong echoes give the variance of n.
+The covariance of relative changes between strong bins so far apart that they share no noise gives those of phi
 and a. White errors make successive differences anticorrelated; what their covariance does not explain is a random walk,
 a drift that is reported and not simulated. Where the recording also holds
 a part in which the radar moved, echoes of the surroundings average out and the instrument's own response stays: direct
@@ -39,8 +41,20 @@ WINDOW = 16
 """Frames whose means are compared to find out whether anything moved."""
 LEAST_STILL = 48
 """Fewer frames at rest give sigmas worse than 10 %."""
-_DRIFT = 8.0
-"""Change between window means, over what noise alone makes, that counts as rest, however quiet other parts are."""
+_DRIFT = 6.0
+"""Change within and between windows, over what noise and the receiver's drift make, that counts as rest: 0 to 5 in most
+windows of four recordings at rest; a radar that moves in simulation, 5 mm/s to 0.5 m/s: 39 to 13 000."""
+_OWN_DRIFT = 0.001
+"""Power by which a receiver at rest changes an echo from one window to the next: -30 dB."""
+_UNLIKE_NOISE = 0.15
+"""Mean excess of the correlation at lags 1 to 3 over the filter's. At rest: -0.03 to 0.13 on four recordings, 16 frames
+each; a radar or a person that moves: 0.17 to 0.8."""
+_LOUDER = 1.41
+"""Power of changes over that of the quietest quarter of such windows: 1.5 dB, four sigma of a window."""
+_LIKE_PRESET_DB = 6.0
+"""Between the noise of a device and its preset at the counts that its lattice shows; measured: 0.2 dB."""
+_MOST_MISFIT = {"noise": 0.5, "kurtosis": 1.5} | {f"correlation_lag_{k}": 0.2 for k in (1, 2, 3)}
+"""Of the fit: beyond these the frames at rest are no noise of this receiver."""
 _WHITE = -0.3
 """Correlation of successive changes: -0.5 for white noise about a constant, 0 and more for echoes that move."""
 _LEAST_WHITE = 8
@@ -83,17 +97,20 @@ class Receiver:
             target of known size cannot tell it.
 
         Raises:
-            InputError: more than one radar, amplitudes without phase, saturated samples, or no part at rest.
+            InputError: more than one radar, amplitudes without phase, saturated samples, no part at rest, or what is
+                taken for rest is not the noise of such a receiver.
         """
         frames = _only(recording)
         profiles = _baseband(frames)
-        still, moving = _parts(profiles, frames.sensor)
+        still, moving = _parts(profiles, frames)
         spec = _with_counts(frames, counts)
         measured = _Rest.of(profiles, still, spec, frames.sensor)
         own, notes = _own_response(profiles, still, moving, frames)
         noise = _noise(spec, measured, own, frames)
         radar = spec.but(noise=noise)
-        return cls(radar, _misfit(radar, measured, frames, own), still, moving, notes)
+        misfit = _misfit(radar, measured, frames, own)
+        _refuse_misfit(misfit, radar, frames, shown=counts is None and spec.counts != frames.spec.counts)
+        return cls(radar, misfit, still, moving, notes)
 
     def write(self, path: str | Path) -> None:
         """Write the radar as YAML: `RadarSpec.preset(path)` and `sensing.preset` of a scenario read it.
@@ -141,33 +158,83 @@ def _baseband(frames: Frames) -> Complexes:
     return np.asarray(hilbert(frames.samples.astype(np.float64), axis=1) * carrier, np.complex128)
 
 
-def _parts(profiles: Complexes, sensor: str) -> tuple[Bools, Bools]:
+def _parts(profiles: Complexes, frames: Frames) -> tuple[Bools, Bools]:
     """Which frames are at rest, and which are surely not.
 
-    Windows of 16 frames are compared by their means, bin by bin, over the variance within the quietest windows. The
-    90 % quantile over bins is 1 for noise alone, also where a few bins hold a person who breathes.
+    Windows of 16 frames are at rest if changes from frame to frame are noise: as correlated over bins as the filter
+    makes it, and as strong as in the quietest quarter of such windows. Neither their frames nor their means may differ
+    by much more than noise and the drift of a receiver, in 90 % of the bins: a few may hold a person who breathes.
     """
-    count = len(profiles) // WINDOW
+    sensor, count = frames.sensor, len(profiles) // WINDOW
     if count < LEAST_STILL // WINDOW:
         raise InputError(f"{len(profiles)} frames", where=sensor, allowed=f"{LEAST_STILL} or more at rest")
     cut = profiles[: count * WINDOW].reshape(count, WINDOW, -1)
-    within = (np.abs(np.diff(cut, axis=1)) ** 2).mean(1) / 2
-    variance = np.maximum(np.quantile(within, 0.1, axis=0), 1e-300)
-    change = np.abs(np.diff(cut.mean(1), axis=0)) ** 2 / (2 * variance / WINDOW)
-    moved = np.quantile(change, 0.9, axis=1) / -np.log(0.1)
-    quiet = float(np.quantile(moved, 0.1))
-    rest = moved < max(_DRIFT, 3 * quiet)
-    still = np.zeros(len(profiles), bool)
-    for k in np.flatnonzero(rest):
-        still[k * WINDOW : (k + 2) * WINDOW] = True
-    for k in np.flatnonzero(~rest):  # a window is at rest only if both its neighbours agree
-        still[k * WINDOW : (k + 2) * WINDOW] = False
+    noise, level = _noise_windows(cut, frames)
+    if not noise.any():
+        raise _moved("no part of it changes as the receiver's noise does: echoes move throughout", sensor)
+    power = (np.abs(cut) ** 2).mean(1)
+    within, between = (np.abs(np.diff(cut, axis=1)) ** 2).mean(1) / 2, np.abs(np.diff(cut.mean(1), axis=0)) ** 2
+    shaken = _over_expected(within, level, power, 2 * level) > _DRIFT
+    moved = _over_expected(between, 2 * level / WINDOW, power[:-1], 2 * level) > _DRIFT
+    alone = np.append(moved, True) & np.append(True, moved)  # unlike both neighbours
+    still, moving = np.zeros(len(profiles), bool), np.zeros(len(profiles), bool)
+    still[: count * WINDOW] = np.repeat(noise & ~shaken & ~alone, WINDOW)
+    moving[: count * WINDOW] = np.repeat(shaken | alone, WINDOW)
     if still.sum() < LEAST_STILL:
         raise _moved(f"only {int(still.sum())} of {len(profiles)} frames are at rest", sensor)
-    moving = np.zeros(len(profiles), bool)
-    for k in np.flatnonzero(~rest):
-        moving[k * WINDOW : (k + 2) * WINDOW] = True
-    return still, moving & ~still
+    return still, moving
+
+
+def _noise_windows(cut: Complexes, frames: Frames) -> tuple[Bools, float]:
+    """Which windows (w, 16, b) change from frame to frame as the receiver's noise does, and that noise's power."""
+    law, _ = _window_law(_noise_alone(frames))
+    found = [_window_law(window) for window in cut]
+    excess = np.array([float((lags - law).mean()) for lags, _ in found])
+    power = np.array([level for _, level in found])
+    like = excess < _UNLIKE_NOISE
+    level = float(np.quantile(power[like], 0.25)) if like.any() else 0.0
+    return like & (power < _LOUDER * level), level
+
+
+def _window_law(window: Complexes) -> tuple[Floats, float]:
+    """Correlation of successive changes between bins at lags 1 to 3, and their power, in bins without strong echoes."""
+    steps = np.diff(window, axis=0) / np.sqrt(2)
+    power = (np.abs(steps) ** 2).mean(0)
+    level = float(np.median(power))
+    return _correlation(steps, power <= 1.5 * level).real, level
+
+
+def _noise_alone(frames: Frames) -> Complexes:
+    """Profiles of noise alone that this radar's receiver makes."""
+    noise = (frames.spec.noise or NoiseSpec()).but(direct_path=None, leakage=False, phase_rad=0.0, amplitude=0.0)
+    return _baseband(_empty_frames(frames.spec.but(noise=noise), 8 * WINDOW))
+
+
+def _empty_frames(radar: RadarSpec, count: int) -> Frames:
+    """What a radar receives where nothing is."""
+    empty = np.zeros((count, radar.bins), np.float32 if radar.output == "rf" else np.complex64)
+    samples = receive(empty, radar, seed=1) * unit(radar)
+    return Frames(samples, radar.range_m, np.arange(count, dtype=np.int64) * 1_000_000, radar, unit="normalised")
+
+
+def _over_expected(change: Floats, noise: float, power: Floats, echo: float) -> Floats:
+    """Changes of windows (w, b) over what noise and drift make, in 90 % of the bins of more power than `echo` (w)."""
+    ratio = change / (noise + _OWN_DRIFT * power + 1e-300)
+    chosen = [row[strong] if strong.any() else row for row, strong in zip(ratio, power > echo, strict=True)]
+    return np.array([np.quantile(row, 0.9) for row in chosen])
+
+
+def _refuse_misfit(misfit: Mapping[str, Metric], radar: RadarSpec, frames: Frames, *, shown: bool) -> None:
+    """Refuse a fit that its own simulation contradicts, or the lattice of the values where it shows the counts."""
+    wrong = [f"{name} by {misfit[name].value:.2g} {misfit[name].unit}".rstrip() for name, most in _MOST_MISFIT.items()
+             if not abs(misfit[name].value) <= most]  # fmt: skip
+    usual = frames.spec.noise or NoiseSpec()
+    if shown and radar.noise is not None and usual.thermal > 0:
+        louder = 20 * float(np.log10(radar.noise.thermal / usual.thermal))
+        if abs(louder) > _LIKE_PRESET_DB:
+            wrong.append(f"the noise by {louder:.0f} dB from the {radar.counts} counts that the lattice shows")
+    if wrong:
+        raise _moved(f"what is taken for rest misses the receiver's noise: {', '.join(wrong)}", frames.sensor)
 
 
 def _moved(what: str, sensor: str) -> InputError:
@@ -255,7 +322,7 @@ def _jitter(steps: Floats, pairs: Floats) -> tuple[float, float]:
 
 def _correlation(steps: Complexes, quiet: Bools) -> Complexes:
     """Correlation of the noise between bins at lags 1 to 3, over pairs of quiet bins."""
-    power = (np.abs(steps[:, quiet]) ** 2).mean()
+    power = max(float((np.abs(steps[:, quiet]) ** 2).mean()), 1e-300)
     out = []
     for lag in range(1, _LAGS + 1):
         pairs = quiet[:-lag] & quiet[lag:]
@@ -385,9 +452,7 @@ def _misfit(radar: RadarSpec, recorded: _Rest, recording: Frames, own: DirectPat
     """Frames at rest simulated with the fitted receiver, beside the recorded ones: simulated less or over recorded."""
     radar = radar.but(range_start_m=float(recording.range_m[0]) - _zero_m(recording))
     count = min(len(recording), 4000)
-    empty = np.zeros((count, radar.bins), np.float32 if radar.output == "rf" else np.complex64)
-    samples = receive(empty, radar, seed=1) * unit(radar)
-    frames = Frames(samples, radar.range_m, np.arange(count, dtype=np.int64) * 1_000_000, radar, unit="normalised")
+    frames = _empty_frames(radar, count)
     ours = _Rest.of(_baseband(frames), np.ones(count, bool), radar, "simulated")
     rows = [
         Metric("noise", 20 * np.log10(ours.sigma / recorded.sigma), "dB"),
