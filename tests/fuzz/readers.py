@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import peers
 
 import ullage as ul
 from ullage import ports
@@ -520,6 +521,17 @@ READERS = [
     Reader("nmea", _track("nmea"), "a.nmea", _reader("vehicle_logs", "read_nmea")),
     Reader("tracks", _tracks_in_a_bag, "a.mcap", _read_tracks, pack=mcap_of),
     Reader("motive", _recorded("pulson440", "rail_a", "mocap.csv", most=12_000), "mocap.csv", _read_motive),
+    Reader("peer-imc", lambda folder: peers.imc_seeds(folder, small_frames()), "a.bytes", peers.read_imc),
+    Reader("peer-ros2", _messages, "a.bytes", peers.ros2_reader(unrolled)),
+    *(
+        Reader(f"peer-{name}", seeds, "a.bytes", read)
+        for name, seeds, read, library in (
+            ("mavlink", peers.mavlink_seeds, peers.read_mavlink, "pymavlink"),
+            ("gazebo", peers.gazebo_seeds, peers.read_gazebo, "google.protobuf"),
+            ("classic", peers.classic_seeds, peers.read_classic, "google.protobuf"),
+        )
+        if peers.there(library)
+    ),
 ]
 
 READER = {reader.name: reader for reader in READERS}
