@@ -91,20 +91,23 @@ def main() -> None:
     words.add_argument("--slow", type=float, default=0.0)
     words.add_argument("--lag", type=float, default=2.0)
     words.add_argument("--fidelity", default="physical")
+    words.add_argument("--bare", action="store_true", help="obstacles only, without map, image and recording")
     given = words.parse_args()
     scene = WORLDS[given.world].scene()
     start = tuple(WORLDS[given.world].start)
     options = FlyOptions(duration_s=given.seconds, fidelity=given.fidelity, lag=given.lag)
     grid = ul.Grid.covering(scene.bounds, 0.1)
     stages = [DetectStage(), ObstacleStage(), MapStage(grid, live=True, every_s=0.2), ImageStage(grid, every_s=0.2)]
+    stages = [ObstacleStage()] if given.bare else stages
     stages += [Slow(given.slow)] if given.slow else []
     with tempfile.TemporaryDirectory() as folder:
         for seconds in (3.0, given.seconds):  # the first flight compiles
             chosen = options.but(duration_s=seconds)
             source = HandFlownSource(scene, ul.Rig.preset("thesis-4"), chosen, Turning(), start=start, log=print)
-            recording, sent = ul.sink(Path(folder, f"{seconds}.mcap")), Sent()
+            sent = Sent()
+            sinks = [sent] if given.bare else [ul.sink(Path(folder, f"{seconds}.mcap")), sent]
             used = time.process_time()
-            done = ul.run(source, stages=stages, sinks=[recording, sent])
+            done = ul.run(source, stages=stages, sinks=sinks)
             used = time.process_time() - used
     assert done.live is not None
     print(f"{done.frames} frames of {done.duration_s:.1f} s, {used / done.duration_s:.2f} CPU s a second")

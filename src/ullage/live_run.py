@@ -27,7 +27,7 @@ from ullage.ports import encode
 from ullage.ports.intake import Counters, Inbox, LiveOptions
 from ullage.ports.protocol import Passed
 from ullage.ports.publisher import is_present
-from ullage.processing.obstacles import ObstacleSectors, ObstacleStage
+from ullage.processing.obstacles import STALE_S, ObstacleSectors, ObstacleStage
 from ullage.stop_signals import StopFlag
 
 Chunk = dict[str, Frames]
@@ -36,6 +36,8 @@ POLL_S = 0.05
 TOGETHER = 64
 """Frames of a radar that the slow stages take at once, of those that wait."""
 STATUS_S = 1.0
+FRESH_S = STALE_S / 2
+"""Where obstacles are found, the source leaves out frames that are later [s]: nobody takes obstacles so old."""
 LATE_S = 1.0
 """A map that is behind by more makes `/diagnostics` a warning [s]."""
 SWITCH_S = 0.001
@@ -182,6 +184,7 @@ class LiveLoop:
         self.counters = Counters()
         self._backlog: Inbox[_Piece] = Inbox(self.counters, lag_s=self._lag_s, received=False)
         self._delays, self._ages = Delays(), Delays()
+        self._urgent = bool(self._first) or any(getattr(sink, "takes_obstacles", False) for sink in sinks)
         self._sends = any(getattr(sink, "sends", False) for sink in sinks)
         self._lanes = [_Lane(sink, self.counters, self._lag_s, self._noting(sink)) for sink in sinks]
         self.interrupted = False
@@ -211,8 +214,8 @@ class LiveLoop:
         """
         passing = self._source.passing
         passing.to(lambda item: self._hand_on(item, first=True))
-        if (keep_up := getattr(self._source, "keep_up", None)) is not None:
-            keep_up()
+        if self._lag_s and (keep_up := getattr(self._source, "keep_up", None)) is not None:
+            keep_up(min(self._lag_s, FRESH_S) if self._urgent else self._lag_s)
         thread = threading.Thread(target=self._receive, name="ullage receiving", daemon=True)
         with _short_turns(), StopFlag(raises_at=3) as stop:
             thread.start()

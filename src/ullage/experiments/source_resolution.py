@@ -281,10 +281,10 @@ class _Begun:
         """How long the oldest message waits already [s]."""
         return float(getattr(self._source, "behind_s", 0.0))
 
-    def keep_up(self) -> None:
-        """From now on leave out what is later than the limit."""
+    def keep_up(self, lag_s: float) -> None:
+        """From now on leave out what is later than this [s]."""
         if (keep_up := getattr(self._source, "keep_up", None)) is not None:
-            keep_up()
+            keep_up(lag_s)
 
     def stop(self) -> None:
         """End the stream after what has come so far."""

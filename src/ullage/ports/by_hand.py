@@ -220,7 +220,7 @@ class HandFlownSource(UnboundedSource):
         if self._states.lost > self._lost:
             self._lost = self._states.lost
             count = self._radars.skip(self._epoch_ns + states[0].t_ns)
-            self.counters.drop("frames", "lost", f"more than {self.lag_s:g} s late", count=count)
+            self.counters.drop("frames", "lost", f"more than {self._limit_s:g} s late", count=count)
         found = self._radars.advance(
             [self._epoch_ns + state.t_ns for state in states],
             [state.position for state in states],
@@ -307,9 +307,9 @@ class HandFlownSource(UnboundedSource):
                 kind="behind",
             )
 
-    def keep_up(self) -> None:
-        """From now on leave out what is later than the limit."""
-        self._states.lag_s = self.lag_s
+    def keep_up(self, lag_s: float) -> None:
+        """From now on leave out what is later than this [s]."""
+        self._states.lag_s = self._limit_s = lag_s
 
     def stop(self) -> None:
         """End the flight; the frames of what was flown still come."""

@@ -40,7 +40,7 @@ from ullage.radar.live import LiveRadars
 from ullage.specs import RadarSpec, Rig, Spec
 from ullage.world.scene import Scene
 
-PIECE_S = 0.25
+PIECE_S = 0.1
 """Most that is simulated at once of what waits, so that what follows does not get old meanwhile [s]."""
 BEHIND_S = 1.0
 """Report frames that are later than the newest pose by more than this, on the simulator's clock [s]."""
@@ -114,7 +114,8 @@ class UnboundedSource(ABC):
     def __init__(self, duration_s: float | None, log: Log | None, *, topic: str, lag_s: float | None = None) -> None:
         self._log, self._logged_s = log or warn, dict[str, float]()
         self._duration_s, self.lag_s = duration_s, lag_s
-        self._stopping = self._keeps_up = False
+        self._stopping = False
+        self._limit_s: float | None = None  # what is later is left out; None: nothing is
         self._count_with(Counters(), topic)
 
     def _count_with(self, counters: Counters, topic: str) -> None:
@@ -161,9 +162,9 @@ class UnboundedSource(ABC):
     def _behind_s(self) -> float:
         return 0.0
 
-    def keep_up(self) -> None:
-        """From now on leave out what is later than the limit."""
-        self._keeps_up = self.lag_s is not None
+    def keep_up(self, lag_s: float) -> None:
+        """From now on leave out what is later than this [s]."""
+        self._limit_s = lag_s
 
     def stop(self) -> None:
         """End the stream after what has come so far; safe to call from another thread."""
@@ -276,13 +277,13 @@ class CosimulationSource(UnboundedSource):
 
     def _left_out(self, poses: list[Stamped[ModelPose]]) -> bool:
         """Whether frames of these poses would come later than the limit allows; the next ones leave a gap then."""
-        if self._keeps_up and self._behind_s(poses[-1].t_ns) > (self.lag_s or np.inf):
+        if self._limit_s and self._behind_s(poses[-1].t_ns) > self._limit_s:
             self._gap = True
             return True
         if self._gap:
             self._gap = False
             count = self._radars.skip(poses[0].t_ns)
-            self.counters.drop("frames", "lost", f"more than {self.lag_s:g} s late", count=count)
+            self.counters.drop("frames", "lost", f"more than {self._limit_s:g} s late", count=count)
         return False
 
     def close(self) -> None:
@@ -381,9 +382,8 @@ class CosimulationSource(UnboundedSource):
 
     def _log_if_behind(self) -> None:
         if (behind_s := self._behind_s()) > BEHIND_S:
-            limit = (
-                f"frames later than {self.lag_s:g} s are left out" if self._keeps_up else "every frame is still made"
-            )
+            most_s = self._limit_s
+            limit = f"frames later than {most_s:g} s are left out" if most_s else "every frame is still made"
             self._log_throttled(
                 f"cannot keep up: {behind_s:.1f} s behind the simulator, which goes on; {limit} "
                 "(fidelity=thesis, fewer radars or a lower rate_hz cost less)",

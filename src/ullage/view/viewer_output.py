@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import atexit
+import ctypes
 import os
 import shutil
+import signal
 import socket
+import subprocess
 import sys
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from threading import Event
 from typing import Any, Protocol, Self, runtime_checkable
@@ -20,9 +26,12 @@ from ullage.view.progress import log
 WEB = "web"
 WEB_PORT = 9090
 """Port of the page; its data come through the next one."""
+LOOPBACK = "127.0.0.1"
+START_S = 20.0
+"""How long rerun's program may take to serve [s]."""
 USAGE = (
     "viewer:, viewer:web, viewer:FILE.rrd, or viewer:rerun+http://HOST:9876/proxy of a running viewer; "
-    "then ?rays=true, ?port=PORT"
+    "then ?rays=true, ?port=PORT, ?host=ADDRESS"
 )
 
 
@@ -40,6 +49,7 @@ class ViewerOutput:
     place: str  # empty: a window; `web`; an address; else a file
     rays: bool = False  # draw the rays of the ray model
     port: int = WEB_PORT  # of the page
+    host: str = LOOPBACK  # address that the page is served on; 0.0.0.0: every one of this machine
     overwrite: bool = False  # replace a file
 
     @classmethod
@@ -50,10 +60,11 @@ class ViewerOutput:
             InputError: there is no such option, or its value is not allowed.
         """
         where = f"viewer:{place}"
-        if unknown := set(options) - {"overwrite", "rays", "port"}:
-            raise InputError(f"no option {min(unknown)!r}", where=where, allowed="overwrite, rays, port")
+        if unknown := set(options) - {"overwrite", "rays", "port", "host"}:
+            raise InputError(f"no option {min(unknown)!r}", where=where, allowed="overwrite, rays, port, host")
         flags = {name: _flag(options.get(name, False), name, where) for name in ("overwrite", "rays")}
-        return cls(place, port=_port(options.get("port", WEB_PORT), where), **flags)
+        host = str(options.get("host", LOOPBACK))
+        return cls(place, port=_port(options.get("port", WEB_PORT), where), host=host, **flags)
 
     @property
     def live(self) -> bool:
@@ -67,8 +78,8 @@ class ViewerOutput:
             InputError: the file is of another kind, or a port is taken.
         """
         if self.place == WEB:
-            _check_free(self.port)
-            _check_free(self.port + 1)
+            _check_free(self.host, self.port)
+            _check_free(self.host, self.port + 1)
         elif not self.live and Path(self.place).suffix.lower() != ".rrd":
             raise InputError("not something a viewer shows", where=f"viewer:{self.place}", allowed=USAGE)
 
@@ -82,7 +93,7 @@ class ViewerOutput:
         if not self.place:
             _spawn(rr, rec)
         elif self.place == WEB:
-            return _serve(rr, rec, self)
+            return _serve(rec, self)
         elif self.live:
             _connect(rec, self.place)
         else:
@@ -107,37 +118,82 @@ def _spawn(rr: Any, rec: Any) -> None:
     """Open a viewer window and send data to it."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("no display to open a viewer on", where="viewer:", allowed=USAGE)
-    local = Path(sys.executable).with_name("rerun")
-    program = str(local) if local.exists() else shutil.which("rerun")
     try:
-        rr.spawn(recording=rec, executable_path=program)
+        rr.spawn(recording=rec, executable_path=_program())
     except Exception as error:  # rerun raises kinds of its own
         raise InputError(f"the viewer does not start: {error}", where="viewer:", allowed=USAGE) from None
 
 
-def _check_free(port: int) -> None:
+def _program() -> str | None:
+    """Return rerun's own program: not the script that only starts it, which would leave it behind when it is ended."""
+    spec = find_spec("rerun_cli")
+    inner = Path(spec.origin).with_name("rerun") if spec is not None and spec.origin else Path()
+    script = Path(sys.executable).with_name("rerun")
+    return next((str(place) for place in (inner, script) if place.is_file()), shutil.which("rerun"))
+
+
+def _check_free(host: str, port: int) -> None:
     """Try to listen on a port; rerun itself only logs that it cannot."""
     with socket.socket() as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            trial.bind(("", port))
+            trial.bind((host, port))
         except OSError as error:
-            what = f"cannot listen on port {port}: {error.strerror}"
+            what = f"cannot listen on {host} port {port}: {error.strerror or error}"
             raise InputError(
-                what, where="viewer:web", allowed="viewer:web?port=PORT, which also takes PORT + 1"
+                what,
+                where="viewer:web",
+                allowed="viewer:web?port=PORT, which also takes PORT + 1, and an address of this machine as host",
             ) from None
 
 
-def _serve(rr: Any, rec: Any, output: ViewerOutput) -> str:
-    """Serve rerun's own viewer as a web page, and the data on the next port; print the address."""
-    try:
-        data = rec.serve_grpc(grpc_port=output.port + 1)
-        rr.serve_web_viewer(web_port=output.port, open_browser=False)
-    except Exception as error:  # rerun raises kinds of its own
-        raise InputError(f"the page is not served: {error}", where="viewer:web", allowed=USAGE) from None
-    address = f"http://127.0.0.1:{output.port}/?url={data.replace('+', '%2B')}"
+def _serve(rec: Any, output: ViewerOutput) -> str:
+    """Let rerun's program serve its viewer as a web page, and the data on the next port; print the address.
+
+    The library would do so in this process, but on every address of the machine.
+    """
+    program, near = _program(), LOOPBACK if output.host == "0.0.0.0" else output.host
+    if program is None:
+        raise InputError("rerun's program is not installed", where="viewer:web", allowed=USAGE)
+    ports = ("--port", str(output.port + 1), "--web-viewer-port", str(output.port))
+    words = [program, "--serve-web", "--bind", output.host, *ports, "--server-memory-limit", "1GiB"]
+    quiet = subprocess.DEVNULL
+    # in a session of its own, so that Ctrl-C ends the run and not the page; it ends with this process
+    ends = _end_with_parent()
+    server = subprocess.Popen(
+        words,
+        stdin=quiet,
+        stdout=quiet,
+        stderr=quiet,
+        start_new_session=True,
+        preexec_fn=ends,  # noqa: PLW1509
+    )
+    atexit.register(server.terminate)
+    until_s = time.monotonic() + START_S
+    while not all(_answers(near, port) for port in (output.port, output.port + 1)):
+        if server.poll() is not None or time.monotonic() > until_s:
+            server.terminate()
+            raise InputError("the page is not served: rerun's program ended", where="viewer:web", allowed=USAGE)
+        time.sleep(0.05)
+    data = f"rerun+http://{near}:{output.port + 1}/proxy"
+    _connect(rec, data)
+    address = f"http://{near}:{output.port}/?url={data.replace('+', '%2B')}"
     log(f"viewer: {address}")
     return address
+
+
+def _answers(host: str, port: int) -> bool:
+    with suppress(OSError), socket.create_connection((host, port), timeout=1.0):
+        return True
+    return False
+
+
+def _end_with_parent() -> Callable[[], object] | None:
+    """Return what ends a child with this process, also where that is killed; None: not on this system."""
+    if not sys.platform.startswith("linux"):
+        return None
+    prctl = ctypes.CDLL(None).prctl  # found here, since a child must not load anything
+    return lambda: prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
 
 
 def keep_serving(sinks: Iterable[object]) -> None:

@@ -49,7 +49,8 @@ def test_a_run_takes_poses_from_an_autopilot_and_sends_it_distances(tmp_path: Pa
     poses, ahead_ns = local_poses(lambda t_s: (0.0, 0.0, -1.0), math.radians(90)), 50 * 10**9 - time.monotonic_ns()
     with Autopilot(poses=poses, boot_ns=ahead_ns, timesync=False) as autopilot:
         place = f"mavlink:udp://127.0.0.1:{autopilot.port}"
-        source = f"{place}?world={world}&rig=single&rate_hz=20&duration_s=1"
+        # lag=0: every frame, however slow this machine is
+        source = f"{place}?world={world}&rig=single&rate_hz=20&duration_s=1&lag=0"
         to = ["--do", "obstacles", "--to", f"{place}?pace=0", "--out", str(tmp_path)]
         found = CliRunner().invoke(app, ["run", source, *to])
         assert found.exit_code == 0, found.output

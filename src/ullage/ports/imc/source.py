@@ -53,7 +53,7 @@ class ImcSource:
         self._radars: Any = None
         self._seen: list[str] = []
         self._behind = self._stopping = False
-        self.lag_s, self._lost = options.lag_s, 0
+        self.lag_s, self._limit_s, self._lost = options.lag_s, options.lag, 0
         points, start = options.waypoints(), options.place_of_start()
         self._vehicle_s, self._frames_s = Covered(), Covered()
         if options.world:
@@ -224,7 +224,7 @@ class ImcSource:
         if (lost := self._link.events.lost) > self._lost:
             self._lost = lost
             count = self._radars.skip(t_ns)
-            self.counters.drop("frames", "lost", f"more than {self.lag_s:g} s late", count=count)
+            self.counters.drop("frames", "lost", f"more than {self._limit_s:g} s late", count=count)
 
     def _simulated(self, poses: list[Pose]) -> dict[str, Frames]:
         began = time.monotonic()
@@ -261,9 +261,9 @@ class ImcSource:
         """How long the oldest message waits already [s]."""
         return self._link.events.behind_s
 
-    def keep_up(self) -> None:
-        """From now on leave out what is later than the limit."""
-        self._link.events.lag_s = self.lag_s
+    def keep_up(self, lag_s: float) -> None:
+        """From now on leave out what is later than this [s]."""
+        self._link.events.lag_s = self._limit_s = lag_s
 
     def stop(self) -> None:
         """End the stream after what has come so far; safe to call from another thread."""

@@ -49,7 +49,7 @@ class LinkOptions(Spec):
     system_id: int = Field(0, ge=0, le=255, description="our own system id; 0: that of the autopilot")
     component_id: int = Field(OBSTACLE_AVOIDANCE, ge=1, le=255, description="our own component id")
     port: int = Field(0, ge=0, le=MOST_PORT, description="local UDP port; 0: any that is free")
-    interface: str = Field("", description="local address for UDP; none: that of loopback, or every one")
+    interface: str = Field("", description="local address for UDP; none: the one that reaches the place")
     baud: int = Field(57600, ge=1200, le=4_000_000, description="speed of the serial line")
     heartbeat_s: float = Field(5.0, gt=0.1, le=3600, description="without HEARTBEAT for so long the autopilot is lost")
 

@@ -45,7 +45,7 @@ class MavlinkSink:
         MissingExtra: pymavlink or pyserial is not installed.
     """
 
-    sends = True
+    takes_obstacles = sends = True
     """Its messages leave this machine's process at once."""
 
     def __init__(self, place: str, options: SinkOptions, *, log: Log | None = None) -> None:

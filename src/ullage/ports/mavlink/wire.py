@@ -72,7 +72,7 @@ class UdpWire:
             mine = (host, place.port)
         else:
             self._peer = (host, place.port)
-            mine = (options.interface or ("127.0.0.1" if local else ""), options.port)
+            mine = (options.interface or ("127.0.0.1" if local else _route_to(host, place.port)), options.port)
         self._senders: dict[Sender, float] = {}  # who sent, and when
         self._socket = _bound(mine, self.name)
 
@@ -201,6 +201,16 @@ def _address(host: str, name: str) -> str:
         raise InputError(
             f"no such host {host!r}", where=f"mavlink:{name}", allowed="a name or an IPv4 address"
         ) from None
+
+
+def _route_to(host: str, port: int) -> str:
+    """Return the address of this machine that reaches a host; empty where none does now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
+        try:
+            trial.connect((host, port))  # sends nothing
+        except OSError:
+            return ""
+        return str(trial.getsockname()[0])
 
 
 def _bound(mine: Sender, name: str) -> socket.socket:

@@ -117,9 +117,9 @@ class Ros2Source:
         """Return None: this source receives frames only."""
         return None
 
-    def keep_up(self) -> None:
-        """From now on leave out what is later than the limit."""
-        self._inbox.lag_s = self.lag_s
+    def keep_up(self, lag_s: float) -> None:
+        """From now on leave out what is later than this [s]."""
+        self._inbox.lag_s = lag_s
 
     def stop(self) -> None:
         """End a stream that runs in another thread, after what has come so far."""
