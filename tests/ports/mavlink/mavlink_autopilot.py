@@ -30,11 +30,13 @@ class Autopilot:
         poses: gives messages for a time of its clock [s]; called 50 times a second.
         to: a port that it sends to before anybody spoke to it.
         timesync: whether it answers TIMESYNC.
+        denies: ids of messages whose rate it does not set; None: it answers no command.
     """
 
     def __init__(
         self, *, system: int = 1, component: int = 1, boot_ns: int = 0, drift: float = 0.0,
         poses: Callable[[float], list[Any]] | None = None, to: int | None = None, timesync: bool = True,
+        denies: set[int] | None = None,
     ) -> None:  # fmt: skip
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
@@ -44,6 +46,7 @@ class Autopilot:
         self.offsets: list[int] = []  # what its own TIMESYNC questions gave [ns]
         self.silent = False
         self._boot_ns, self._drift, self._poses, self._timesync = boot_ns, drift, poses, timesync
+        self._denies = denies
         self._begun_ns = time.monotonic_ns()
         self._there: tuple[str, int] | None = ("127.0.0.1", to) if to else None
         self._mav = mav.MAVLink(None, srcSystem=system, srcComponent=component)
@@ -116,6 +119,9 @@ class Autopilot:
         now = time.monotonic_ns()
         for message in self._mav.parse_buffer(data) or []:
             self.got.append((now * 1e-9, message))
+            if message.get_type() == "COMMAND_LONG" and self._denies is not None:
+                result = mav.MAV_RESULT_DENIED if message.param1 in self._denies else mav.MAV_RESULT_ACCEPTED
+                self.send(mav.MAVLink_command_ack_message(message.command, result))
             if message.get_type() != "TIMESYNC" or self.silent:
                 continue
             if message.tc1 == 0 and self._timesync:

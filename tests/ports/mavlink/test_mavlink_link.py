@@ -199,6 +199,38 @@ def test_a_serial_line_carries_the_same(link_to: Opened, said: list[str]) -> Non
     until(lambda: any("is lost" in line for line in said))
 
 
+def test_a_tcp_connection_carries_the_same_and_is_made_again(link_to: Opened, said: list[str]) -> None:
+    beat = mav.MAVLink_heartbeat_message(2, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = link_to(f"tcp://127.0.0.1:{server.getsockname()[1]}")
+        for begun in range(2):
+            there, _ = server.accept()
+            there.sendall(b"noise" + bytes(beat.pack(mav.MAVLink(None, 4, 1))))
+            until(lambda begun=begun: link.counters.received("HEARTBEAT") > begun)
+            parser, found = mav.MAVLink(None), list[Any]()
+            while not any(one.get_type() == "HEARTBEAT" and one.get_srcSystem() == 4 for one in found):
+                found += parser.parse_buffer(there.recv(4096)) or []
+            there.close()
+        until(lambda: sum("is lost" in line for line in said) == 2)
+        assert any("is back" in line for line in said)
+
+
+def test_a_message_that_the_autopilot_denies_is_asked_for_once(
+    link_to: Opened, said: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """ArduPilot has no ODOMETRY (331) and tells its pilot so at each request."""
+    monkeypatch.setattr("ullage.ports.mavlink.link.REQUEST_S", 0.2)
+    with Autopilot(denies={331}) as autopilot:
+        link_to(f"udp://127.0.0.1:{autopilot.port}").request_hz = 50.0
+
+        def asked() -> list[int]:
+            return [round(one.param1) for one in autopilot.of("COMMAND_LONG")]
+
+        until(lambda: asked().count(32) >= 4)  # no poses come: the others are asked for again
+        assert asked().count(331) == 1
+        assert any(line.endswith("does not set the rate of ODOMETRY (DENIED)") for line in said)
+
+
 def test_a_source_and_a_sink_of_one_place_share_the_link() -> None:
     with Autopilot() as autopilot:
         place = f"udp://127.0.0.1:{autopilot.port}"
@@ -217,7 +249,7 @@ def test_a_source_and_a_sink_of_one_place_share_the_link() -> None:
         ("udp://127.0.0.1:0", "port '0' .*1 to 65535"),
         ("udp://127.0.0.1:70000", "port '70000' .*1 to 65535"),
         ("udp://127.0.0.1", "is not a place .*udp://HOST:PORT"),
-        ("tcp://127.0.0.1:5760", "is not a place .*serial:///dev/NAME"),
+        ("sctp://127.0.0.1:5760", "is not a place .*serial:///dev/NAME"),
         ("", "is not a place"),
     ],
 )
@@ -236,5 +268,7 @@ def test_a_port_in_use_a_wrong_host_and_a_missing_device_are_one_line(link_to: O
             link_to("udp://127.0.0.1:14550", port=port)
     with pytest.raises(ul.InputError, match=r"no such host 'no\.such\.host\.invalid'"):
         link_to("udp://no.such.host.invalid:14550")
+    with pytest.raises(ul.InputError, match=r"cannot connect to 127.0.0.1 port 9: Connection refused .*that listens"):
+        link_to("tcp://127.0.0.1:9")
     with pytest.raises(ul.InputError, match=r"no such serial device .*a device as /dev/ttyACM0"):
         link_to("serial:///dev/ttyNOPE9")

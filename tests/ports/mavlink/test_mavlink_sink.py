@@ -63,7 +63,7 @@ def test_a_stream_goes_out_at_its_own_pace_thinned_to_the_rate(autopilot: Autopi
     with sink(autopilot, said, obstacle_hz=20) as out:
         for k in range(101):  # two seconds at 50 Hz
             out.write(around(k / 50, 3.0 - k / 50))
-    found = autopilot.of("OBSTACLE_DISTANCE")
+    found = autopilot.await_("OBSTACLE_DISTANCE", 41)
     stamps = [one.time_usec for one in found]
     assert len(found) == 41  # 20 a second in the mean
     assert set(np.diff(stamps)) == {40_000, 60_000}
@@ -76,6 +76,7 @@ def test_each_radar_comes_before_the_sectors_of_its_time(autopilot: Autopilot, s
     with sink(autopilot, said, pace=0) as out:
         for k in range(3):
             out.write(around(k / 10))
+    autopilot.await_("OBSTACLE_DISTANCE", 3)
     kinds = [m.get_type() for _, m in autopilot.got if m.get_type() in ("DISTANCE_SENSOR", "OBSTACLE_DISTANCE")]
     assert kinds == (["DISTANCE_SENSOR"] * 4 + ["OBSTACLE_DISTANCE"]) * 3
     assert [m.id for m in autopilot.of("DISTANCE_SENSOR")[:4]] == [0, 1, 2, 3]
@@ -191,3 +192,22 @@ def test_a_clock_that_is_set_back_does_not_stop_the_stream(autopilot: Autopilot,
         out.write(around(1.0))  # set back
         out.write(replace(around(1.1)))
     assert [one.time_usec // 1000 for one in autopilot.of("OBSTACLE_DISTANCE")] == [1_000_000, 1000, 1100]
+
+
+@pytest.mark.parametrize("late_s", [2.0, 100.0])
+def test_a_live_stream_whose_first_distances_are_late_is_not_replayed(
+    autopilot: Autopilot, said: list[str], late_s: float
+) -> None:
+    """Frames of the present, whose distances come after the first of them were worked out for long."""
+    frames = ul.simulate(
+        ul.scenes.plate(width_m=4, height_m=4, distance_m=2.5, material="pec"),
+        ul.Trajectory.stationary((0, 0, 0), n=1),
+        ul.Rig.preset("single"),
+        seed=1,
+    )["front"]
+    with sink(autopilot, said) as out:
+        out.write(replace(frames, t_ns=np.array([time.time_ns()]), poses=None, truth=None))
+        out.write(around(-late_s, 1.0, now_ns=time.time_ns()))
+        deliver(out, autopilot)
+    assert {one.distances[0] for one in autopilot.of("OBSTACLE_DISTANCE")} == {200}  # not those that are late
+    assert late(out) >= 1

@@ -69,7 +69,7 @@ class Link:
         self.request_hz = 0.0
         """Poses a second that the autopilot is asked for; 0: it is not asked."""
         self.poses_come = False
-        """Whether poses came since the autopilot was asked; else it is asked again."""
+        """Whether poses came since the autopilot was asked; else it is asked again, save for what it denied."""
         self.listens = False
         """Whether somebody takes the poses."""
         self._wire, self._log = wire, log
@@ -83,7 +83,9 @@ class Link:
         self._lock = threading.Lock()
         self._met = threading.Event()
         self._closing = threading.Event()
-        self._requested = False
+        self._requested: tuple[str, ...] = ()  # messages that were asked for at once; none: not yet
+        self._answers: list[int] = []  # to these requests, in their order
+        self._denied: set[str] = set()  # messages that the autopilot does not have
         self._error: BaseException | None = None
         self._wall_ns = time.time_ns() - time.monotonic_ns()  # kept, so that a set clock moves nothing
         self._thread = threading.Thread(target=self._run, name="ullage mavlink", daemon=True)
@@ -214,7 +216,7 @@ class Link:
         known.last_heartbeat_s = now
         if not known.there:
             known.there = True
-            self._requested = False  # it may have been started again, with its own rates
+            self._requested = ()  # it may have been started again, with its own rates
             self._log(f"{self.name}: HEARTBEAT of system {system} is back")
 
     def _timesync(self, message: Any) -> None:
@@ -232,10 +234,17 @@ class Link:
 
     def _acknowledged(self, message: Any) -> None:
         d = self.dialect
-        if message.command == d.MAV_CMD_SET_MESSAGE_INTERVAL and message.result != d.MAV_RESULT_ACCEPTED:
-            entry = d.enums["MAV_RESULT"].get(message.result)
-            why = entry.name.removeprefix("MAV_RESULT_") if entry else str(message.result)
-            self._once(f"{self.name}: the autopilot does not change the rate of its poses ({why})")
+        if message.command != d.MAV_CMD_SET_MESSAGE_INTERVAL:
+            return
+        self._answers.append(message.result)
+        if len(self._answers) != len(self._requested):  # an answer names no message: only all of them tell which
+            return
+        for kind, result in zip(self._requested, self._answers, strict=True):
+            if result not in (d.MAV_RESULT_ACCEPTED, d.MAV_RESULT_TEMPORARILY_REJECTED):
+                self._denied.add(kind)
+                entry = d.enums["MAV_RESULT"].get(result)
+                why = entry.name.removeprefix("MAV_RESULT_") if entry else str(result)
+                self._once(f"{self.name}: the autopilot does not set the rate of {kind} ({why})")
 
     def _once(self, text: str) -> None:
         if text not in self._reported and len(self._reported) < 100:
@@ -256,7 +265,6 @@ class Link:
             self._questions = [*self._questions[1 - QUESTIONS :], asked]
             self.send(self.dialect.MAVLink_timesync_message(0, asked))
         if self.request_hz and (not self.poses_come or not self._requested) and self._is_due("request", now, REQUEST_S):
-            self._requested = True
             self._request(there, self.request_hz)
         if there.there and now - there.last_heartbeat_s > self.options.heartbeat_s:
             there.there = False
@@ -272,8 +280,10 @@ class Link:
         return True
 
     def _request(self, there: Autopilot, rate_hz: float) -> None:
+        """Ask for the messages with poses, save for those that were denied: each denial is shown to the pilot."""
         d = self.dialect
-        for kind in POSES:
+        self._requested, self._answers = tuple(kind for kind in POSES if kind not in self._denied), []
+        for kind in self._requested:
             number = getattr(d, f"MAVLINK_MSG_ID_{kind}")
             self.send(
                 d.MAVLink_command_long_message(
@@ -290,7 +300,7 @@ def open_link(text: str, options: LinkOptions, *, role: Role, log: Log) -> Link:
     """Open a link to a place; a source and a sink of one program share it. `leave` closes it.
 
     Args:
-        text: `udp://HOST:PORT`, `udpin://HOST:PORT` or `serial:///dev/NAME`.
+        text: `udp://HOST:PORT`, `udpin://HOST:PORT`, `tcp://HOST:PORT` or `serial:///dev/NAME`.
         options: of the link; an open link keeps the options that it was opened with.
         role: that uses the link.
         log: takes lines for the user.

@@ -11,8 +11,8 @@ from ullage.errors import InputError, shown
 from ullage.ports.cosimulation import RadarOptions
 from ullage.specs import Spec
 
-PLACE = re.compile(r"(udp|udpin)://([^/:\s]+):(\d+)/?|serial://(/?[^\s?]+)")
-PLACES = "udp://HOST:PORT (send there), udpin://HOST:PORT (listen there), or serial:///dev/NAME"
+PLACE = re.compile(r"(udp|udpin|tcp)://([^/:\s]+):(\d+)/?|serial://(/?[^\s?]+)")
+PLACES = "udp://HOST:PORT (send there), udpin://HOST:PORT (listen there), tcp://HOST:PORT, or serial:///dev/NAME"
 MOST_PORT = 65535
 OBSTACLE_AVOIDANCE = 196
 """MAV_COMP_ID_OBSTACLE_AVOIDANCE."""
@@ -21,7 +21,7 @@ OBSTACLE_AVOIDANCE = 196
 class Place(NamedTuple):
     """Address of an autopilot."""
 
-    kind: Literal["udp", "udpin", "serial"]
+    kind: Literal["udp", "udpin", "tcp", "serial"]
     host: str  # or the serial device
     port: int = 0
 
@@ -39,7 +39,8 @@ def place_of(text: str) -> Place:
         return Place("serial", found[4])
     if len(found[3]) > 5 or not 0 < int(found[3]) <= MOST_PORT:
         raise InputError(f"port {shown(found[3])}", where="mavlink", allowed=f"1 to {MOST_PORT}")
-    return Place("udp" if found[1] == "udp" else "udpin", found[2], int(found[3]))
+    kind: Literal["udp", "udpin", "tcp"] = found[1]  # type: ignore[assignment]  # one of the three in PLACE
+    return Place(kind, found[2], int(found[3]))
 
 
 class LinkOptions(Spec):

@@ -8,7 +8,7 @@ from ullage.ports.protocol import Sink, Source
 
 
 def open_source(address: str, options: dict[str, Any]) -> Source:
-    """Open radars that follow the poses of an autopilot: `udp://HOST:PORT`, `udpin://HOST:PORT` or `serial:///dev/NAME`.
+    """Open radars that follow the poses of an autopilot: `udp://HOST:PORT`, `udpin://HOST:PORT`, `tcp://HOST:PORT` or `serial:///dev/NAME`.
 
     Raises:
         InputError: an option cannot be used, or the address cannot be opened.

@@ -36,7 +36,7 @@ class MavlinkSink:
     radars are silent.
 
     Args:
-        place: `udp://HOST:PORT`, `udpin://HOST:PORT` or `serial:///dev/NAME`.
+        place: `udp://HOST:PORT`, `udpin://HOST:PORT`, `tcp://HOST:PORT` or `serial:///dev/NAME`.
         options: what is sent, and how.
         log: takes lines for the user; None: they become warnings.
 
@@ -61,7 +61,7 @@ class MavlinkSink:
         self._first: Mapping[str, Frames] | None = None  # the first frames: a run's own distances come after them
         self._own = False  # the run has none
         self._limiter = RateLimiter(options.pace)
-        self._at_once: bool | None = None if options.pace else True  # None: the first distances decide
+        self._live: bool | None = None  # whether stamps are of the present: the first item decides, as it comes
         self._due_ns: int | None = None  # when the next distances are sent, by the clock of the stream
         self._rate = _Rate(self._log)
         self._faults: dict[str, str] = {}  # that the autopilot was told of
@@ -81,15 +81,22 @@ class MavlinkSink:
         if self._thread is None:
             raise InputError("the sink is closed", where=f"mavlink:{self.link.name}")
         if isinstance(item, ObstacleSectors):
+            self._see(item.t_ns)
             self._stage, self._first = None, None
             self._queue_up([item])
         elif isinstance(item, Frames | Mapping) and self._stage is not None:
             chunk = {item.sensor: item} if isinstance(item, Frames) else item
+            self._see(max((int(part.t_ns[-1]) for part in chunk.values() if len(part)), default=None))
             if self._first is None and not self._own:
                 self._first = chunk
                 return
             self._begin()
             self._queue_up(self._stage.update(chunk))
+
+    def _see(self, t_ns: int | None) -> None:
+        """Decide whether the stream is live: not by distances, which may be late from the start."""
+        if self._live is None and t_ns is not None:
+            self._live = is_present(t_ns)
 
     def _begin(self) -> None:
         """Make distances of the frames that waited to see whether the run has its own."""
@@ -144,16 +151,15 @@ class MavlinkSink:
             self._log(f"{self.link.name}: no distances for {STALE_S:g} s, so none are sent; the autopilot must stop")
 
     def _send_in_time(self, sectors: ObstacleSectors) -> None:
-        if self._at_once is None:
-            self._at_once = is_present(sectors.t_ns)
-        present = self._at_once and is_present(sectors.t_ns)
-        if not self._at_once:
+        boot_ns: int | None = None
+        if self._live:
+            if (age_s := time.time() - sectors.t_ns * 1e-9) > STALE_S:
+                self.link.counters.drop(TOPIC, "late", f"distances {age_s:.2g} s old")
+                return
+            boot_ns = self.link.boot_ns(sectors.t_ns)
+        elif self._options.pace:
             now = time.monotonic()
             time.sleep(max(0.0, self._limiter.due_s(sectors.t_ns, now) - now))
-        elif present and (age_s := time.time() - sectors.t_ns * 1e-9) > STALE_S:
-            self.link.counters.drop(TOPIC, "late", f"distances {age_s:.2g} s old")
-            return
-        boot_ns = self.link.boot_ns(sectors.t_ns) if present else None
         t_ns = sectors.t_ns if boot_ns is None else boot_ns
         if self._options.sensors:  # before the other: where both tell of one direction, autopilots keep the later
             for message in distance_sensors(sectors, t_ns // 1_000_000):

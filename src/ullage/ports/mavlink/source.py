@@ -19,7 +19,6 @@ SYNC_S = 3.0
 """How long poses wait for TIMESYNC after the first one came [s]."""
 RESTART_NS = 1_000_000_000
 """A pose that lies behind the last one by more: the autopilot was started again [ns]."""
-MOST_WAITING = 512
 
 
 class PoseFeed(EventFeed[PoseMessage]):
@@ -34,12 +33,17 @@ class PoseFeed(EventFeed[PoseMessage]):
         super().__init__(link)
         self._link, self._options = link, options
         self._builder = PoseBuilder(link.counters, options.poses, origin_of(options.origin))
-        self._unsynced: deque[ModelPose] = deque(maxlen=MOST_WAITING)
+        self._unsynced: deque[ModelPose] = deque()
         self._synchronised: bool | None = None  # None: not decided
         self._begun_s = self._last_s = self._reported_s = time.monotonic()
         self._first_s: float | None = None
         self._boot_ns = 0
-        link.listens, link.request_hz = True, options.request_hz
+        link.request_hz = options.request_hz
+
+    def next(self, timeout_s: float) -> Any:
+        """Return the next pose or notice; poses from before the first call are not kept, for they would be late."""
+        self._link.listens = True
+        return super().next(timeout_s)
 
     def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
         """Nothing: the sink sends distances."""
@@ -77,8 +81,10 @@ class PoseFeed(EventFeed[PoseMessage]):
                 self._synchronised = False
                 self._ready.append(Notice("the autopilot does not answer TIMESYNC: frames keep the time of its clock"))
         if self._synchronised is None or (self._synchronised and not self._link.clock.known):
+            while len(self._unsynced) > 1:  # frames along older ones would only come late
+                self._unsynced.popleft()
             return []
-        poses, self._unsynced = list(self._unsynced), deque(maxlen=MOST_WAITING)
+        poses, self._unsynced = list(self._unsynced), deque()
         return [self._local(pose) if self._synchronised else pose for pose in poses]
 
     def _local(self, pose: ModelPose) -> ModelPose:

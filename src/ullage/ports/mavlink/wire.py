@@ -1,4 +1,4 @@
-"""Bytes to and from an autopilot, by UDP or a serial line."""
+"""Bytes to and from an autopilot, by UDP, TCP or a serial line."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import ipaddress
 import select
 import socket
 import time
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,6 +22,8 @@ FORGET_S = 10.0
 DATAGRAMS = 256
 """Read at once, so that a flood does not keep the link from its other work."""
 REOPEN_S = 1.0
+CONNECT_S = 2.0
+"""A peer that takes no packet of a connection for so long is gone [s]."""
 
 
 class Wire(Protocol):
@@ -44,11 +47,13 @@ def open_wire(place: Place, options: LinkOptions, log: Log) -> Wire:
     """The connection to a place.
 
     Raises:
-        InputError: the host is unknown, the port is in use, or the device cannot be opened.
+        InputError: the host is unknown, the port is in use, nobody listens there, or the device cannot be opened.
         MissingExtra: pyserial is not installed.
     """
     if place.kind == "serial":
         return SerialWire(place.host, options.baud, log)
+    if place.kind == "tcp":
+        return TcpWire(place, log)
     return UdpWire(place, options)
 
 
@@ -117,8 +122,81 @@ class UdpWire:
         self._socket.close()
 
 
-class SerialWire:
-    """A serial line; where the device goes, it is opened again when it is back.
+class StreamWire(ABC):
+    """A stream of bytes that may end; it is opened again when the other side is back.
+
+    Args:
+        name: the place, for messages.
+        log: takes a line when the other side goes or comes back.
+    """
+
+    def __init__(self, name: str, log: Log) -> None:
+        self.name = name
+        self._log, self._lost_s = log, 0.0
+        self._line: Any = self._opened()
+
+    @abstractmethod
+    def _opened(self) -> Any:
+        """Open it; OSError or ValueError where that fails."""
+
+    @abstractmethod
+    def _write(self, line: Any, data: bytes) -> None:
+        """Write; OSError where it is lost."""
+
+    @abstractmethod
+    def _read(self, line: Any, timeout_s: float) -> bytes:
+        """Read what has come; OSError where it is lost."""
+
+    def send(self, data: bytes) -> None:
+        """Send one packet; it is lost while the other side is away."""
+        line = self._line  # once: another thread may lose it
+        if line is None:
+            return
+        try:
+            self._write(line, data)
+        except (OSError, ValueError) as error:  # ValueError: closed by the other thread
+            self._lose(error)
+
+    def receive(self, timeout_s: float) -> list[tuple[Sender, bytes]]:
+        """What has come; waits at most so long for it."""
+        line = self._line or self._back(timeout_s)
+        if line is None:
+            return []
+        try:
+            data = self._read(line, timeout_s)
+        except (OSError, TypeError, ValueError) as error:  # the last two: closed by another thread meanwhile
+            self._lose(error)
+            return []
+        return [((self.name, 0), data)] if data else []
+
+    def _lose(self, error: Exception) -> None:
+        line, self._line = self._line, None
+        self._lost_s = time.monotonic()
+        if line is not None:
+            line.close()
+            self._log(f"{self.name} is lost ({_reason(error)}): waiting for it to come back")
+
+    def _back(self, timeout_s: float) -> Any:
+        """Open it again; None where that fails."""
+        if time.monotonic() - self._lost_s < REOPEN_S:
+            time.sleep(timeout_s)
+            return None
+        self._lost_s = time.monotonic()
+        try:
+            self._line = self._opened()
+        except (OSError, ValueError):
+            return None
+        self._log(f"{self.name} is back")
+        return self._line
+
+    def close(self) -> None:
+        """Let go of device or connection."""
+        if self._line is not None:
+            self._line.close()
+
+
+class SerialWire(StreamWire):
+    """A serial line.
 
     Args:
         device: as `/dev/ttyACM0`.
@@ -132,66 +210,63 @@ class SerialWire:
 
     def __init__(self, device: str, baud: int, log: Log) -> None:
         need("serial", extra="mavlink")
-        self.name = f"serial://{device}"
-        self._device, self._baud, self._log = device, baud, log
-        self._lost_s = 0.0
+        self._device, self._baud = device, baud
         try:
-            self._line: Any = self._opened()
+            super().__init__(f"serial://{device}", log)
         except (OSError, ValueError) as error:  # SerialException is an OSError
             known = Path(device).exists()
             what = f"cannot be opened: {_reason(error)}" if known else "no such serial device"
-            raise InputError(what, where=f"mavlink:{self.name}", allowed="a device as /dev/ttyACM0") from None
+            raise InputError(what, where=f"mavlink:serial://{device}", allowed="a device as /dev/ttyACM0") from None
 
     def _opened(self) -> Any:
         import serial
 
         return serial.Serial(self._device, self._baud, timeout=0.05, write_timeout=0.5)
 
-    def send(self, data: bytes) -> None:
-        """Send one packet; it is lost while the device is away."""
-        if self._line is None:
-            return
+    def _write(self, line: Any, data: bytes) -> None:
+        line.write(data)
+
+    def _read(self, line: Any, timeout_s: float) -> bytes:
+        line.timeout = timeout_s
+        data = line.read(1)
+        return bytes(data + line.read(line.in_waiting)) if data else b""
+
+
+class TcpWire(StreamWire):
+    """A connection to an autopilot that listens, as ArduPilot's simulator does.
+
+    Args:
+        place: where it listens.
+        log: takes a line when it goes or comes back.
+
+    Raises:
+        InputError: the host is unknown, or nobody listens there.
+    """
+
+    def __init__(self, place: Place, log: Log) -> None:
+        name = f"tcp://{place.host}:{place.port}"
+        self._there = (_address(place.host, name), place.port)
         try:
-            self._line.write(data)
+            super().__init__(name, log)
         except OSError as error:
-            self._lose(error)
+            what = f"cannot connect to {place.host} port {place.port}: {_reason(error)}"
+            raise InputError(what, where=f"mavlink:{name}", allowed="the port of an autopilot that listens") from None
 
-    def receive(self, timeout_s: float) -> list[tuple[Sender, bytes]]:
-        """What has come; waits at most so long for it."""
-        if self._line is None and not self._back(timeout_s):
-            return []
-        try:
-            self._line.timeout = timeout_s
-            data = self._line.read(1)
-            data += self._line.read(self._line.in_waiting) if data else b""
-        except (OSError, TypeError) as error:  # TypeError: closed by another thread meanwhile
-            self._lose(error)
-            return []
-        return [((self._device, 0), data)] if data else []
+    def _opened(self) -> socket.socket:
+        sock = socket.create_connection(self._there, timeout=CONNECT_S)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # distances must not wait for more of them
+        return sock
 
-    def _lose(self, error: Exception) -> None:
-        line, self._line = self._line, None
-        self._lost_s = time.monotonic()
-        if line is not None:
-            line.close()
-            self._log(f"{self.name} is lost ({_reason(error)}): waiting for it to come back")
+    def _write(self, line: Any, data: bytes) -> None:
+        line.sendall(data)
 
-    def _back(self, timeout_s: float) -> bool:
-        if time.monotonic() - self._lost_s < REOPEN_S:
-            time.sleep(timeout_s)
-            return False
-        self._lost_s = time.monotonic()
-        try:
-            self._line = self._opened()
-        except (OSError, ValueError):
-            return False
-        self._log(f"{self.name} is back")
-        return True
-
-    def close(self) -> None:
-        """Let go of the device."""
-        if self._line is not None:
-            self._line.close()
+    def _read(self, line: Any, timeout_s: float) -> bytes:
+        if not select.select([line], [], [], timeout_s)[0]:
+            return b""
+        data = line.recv(65535)
+        if not data:
+            raise ConnectionResetError("the other side closed it")
+        return bytes(data)
 
 
 def _address(host: str, name: str) -> str:
