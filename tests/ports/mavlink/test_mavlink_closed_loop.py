@@ -1,14 +1,13 @@
-"""An autopilot that brakes as PX4 documents it, flown towards a simulated wall by decoded OBSTACLE_DISTANCE alone.
+"""Stand-ins for both autopilots, flown towards walls by decoded OBSTACLE_DISTANCE alone.
 
-The stand-in follows the velocity limit of PX4's collision prevention [PX4Collision]: the speed towards the obstacle of
-an element is that from which a jerk- and acceleration-limited vehicle stops before CP_DIST, less the way flown in
-CP_DELAY and in the age of the data. Without data newer than 0.5 s, or in an unknown direction, it does not move.
+The rows that a real ArduCopter 4.7-dev flew are flown again with the messages of that day, so that the stand-in is
+known to behave alike before anything is concluded from it.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
+from mavlink_brakes import UNKNOWN, ArduPilotBrake, Brake, Px4Brake
 from pymavlink.dialects.v20 import common as mav
 
 import ullage as ul
@@ -24,44 +24,49 @@ from ullage.processing.obstacles import ObstacleStage
 from ullage.radar.live import LiveRadars
 
 STEP_S, RADAR_S = 0.01, 0.05
-UNKNOWN, STALE_S = 65535, 0.5
+STALE_S, LAG_S, DELAY_S = 0.5, 0.3, 0.1
+FREE = math.inf
+Sides = tuple[float | None, float | None, float | None, float | None]
 
 
-@dataclass
-class Px4Brake:
-    """The limit on the forward speed, with the names of PX4's parameters."""
-
-    cp_dist: float = 1.0  # [m]
-    cp_delay: float = 0.4  # [s]
-    acc_hor: float = 3.0  # [m/s^2]
-    jerk_max: float = 8.0  # [m/s^3]
-    element: int = UNKNOWN  # forward [cm]
-    limits: tuple[int, int] = (0, 0)
-    came_s: float = field(default=-math.inf)
-
-    def take(self, message: Any, now_s: float) -> None:
-        assert message.frame == mav.MAV_FRAME_BODY_FRD
-        assert message.increment_f == 5.0
-        self.element, self.limits, self.came_s = (
-            message.distances[0],
-            (message.min_distance, message.max_distance),
-            now_s,
-        )
-
-    def most_m_s(self, speed_m_s: float, now_s: float) -> float:
-        age_s = now_s - self.came_s
-        if age_s > STALE_S or self.element == UNKNOWN:
-            return 0.0
-        least, most = self.limits
-        assert self.element > least  # PX4 leaves the others out
-        delay_s = self.cp_delay + (age_s if self.element < most else 0.0)
-        keep_m = max(self.cp_dist, least / 100)
-        stop_m = max(0.0, self.element / 100 - keep_m - speed_m_s * delay_s)
-        b = 4 * self.acc_hor**2 / self.jerk_max  # v^2 / (2 a) + v a / j = s with PX4's margin on the jerk
-        return 0.5 * (-b + math.sqrt(b * b + 8 * self.acc_hor * stop_m))
+def moved(state: tuple[float, float], brake: Brake, wish_m_s: float, now_s: float, lag_s: float) -> tuple[float, float]:
+    """Place and speed one step later."""
+    x, v = state
+    wanted = brake.velocity(np.array([wish_m_s, 0.0]), np.array([v, 0.0]), now_s)[0]
+    v += float(np.clip((wanted - v) / lag_s, -3.0, 3.0)) * STEP_S
+    return x + v * STEP_S, v
 
 
-def fly(*, wall_m: float, wish_m_s: float, brake: Px4Brake | None, seed: int, silent_after_s: float = math.inf) -> Any:
+def elements(front: float | None, left: float | None, back: float | None, right: float | None) -> Any:
+    """OBSTACLE_DISTANCE of four radars of 90 degrees; None: unknown [m]."""
+    cm = []
+    for j in range(72):
+        away = (5 * j + 180) % 360 - 180
+        side = front if abs(away) <= 45 else back if abs(away) >= 135 else right if away > 0 else left
+        cm.append(UNKNOWN if side is None else 941 if math.isinf(side) else max(int(100 * side), 21))
+    return mav.MAVLink_obstacle_distance_message(0, 3, cm, 5, 20, 940, 5.0, 0.0, mav.MAV_FRAME_BODY_FRD)
+
+
+def fly_by(brake: Brake, wish_m_s: float, seconds: float, sides: Callable[[float], Sides]) -> Any:
+    """Places [m] and speeds [m/s] with the messages of `sides`, which come a little late."""
+    state, track, due = (0.0, 0.0), [], list[tuple[float, Any]]()
+    for k in range(round(seconds / STEP_S)):
+        now_s = k * STEP_S
+        if k % round(RADAR_S / STEP_S) == 0:
+            due.append((now_s + DELAY_S, elements(*sides(state[0]))))
+        while due and due[0][0] <= now_s:
+            brake.take(due.pop(0)[1], now_s)
+        state = moved(state, brake, wish_m_s, now_s, LAG_S)
+        track.append(state)
+    return np.array(track)
+
+
+def wall_in_all_directions(wall_m: float) -> Callable[[float], Sides]:
+    """A wall ahead that every radar receives, each from its own place."""
+    return lambda x: (wall_m - x - 0.1, wall_m - x, wall_m - x + 0.1, wall_m - x)
+
+
+def fly(*, wall_m: float, wish_m_s: float, brake: Brake | None, seed: int, silent_after_s: float = math.inf) -> Any:
     """Positions [m] and speeds [m/s] of 12 s towards a wall; without a brake the wish is flown."""
     scene = ul.scenes.plate(width_m=3, height_m=3, distance_m=wall_m, material="concrete")
     radars = LiveRadars(scene, ul.RadarSpec.preset("x4m05"), seed=seed, rate_hz=1 / RADAR_S)
@@ -76,17 +81,18 @@ def fly(*, wall_m: float, wish_m_s: float, brake: Px4Brake | None, seed: int, si
             (message,) = receiver.parse_buffer(data)
             if brake is not None:
                 brake.take(message, now_s)
-        wanted = wish_m_s if brake is None else min(wish_m_s, brake.most_m_s(v, now_s))
-        v += float(np.clip(wanted - v, -3.0 * STEP_S, 3.0 * STEP_S))
-        x += v * STEP_S
+        if brake is None:
+            x, v = x + wish_m_s * STEP_S, wish_m_s
+        else:
+            x, v = moved((x, v), brake, wish_m_s, now_s, STEP_S)
         track.append((x, v))
     radars.close()
     return np.array(track)
 
 
-@pytest.mark.parametrize("wish_m_s", [0.5, 1.0])
-def test_it_stops_before_the_wall_at_the_distance_that_px4_was_given(wish_m_s: float) -> None:
-    track = fly(wall_m=5.0, wish_m_s=wish_m_s, brake=Px4Brake(cp_dist=1.0), seed=3)
+@pytest.mark.parametrize(("wish_m_s", "bins"), [(0.5, 72), (1.0, 36)])
+def test_it_stops_before_the_wall_at_the_distance_that_px4_was_given(wish_m_s: float, bins: int) -> None:
+    track = fly(wall_m=5.0, wish_m_s=wish_m_s, brake=Px4Brake(cp_dist=1.0, bins=bins), seed=3)
     left = 5.0 - track[-1, 0]
     assert track[:, 1].max() > 0.8 * wish_m_s  # it was not stopped from the start
     assert abs(track[-100:, 1]).max() < 0.1
@@ -103,3 +109,65 @@ def test_a_radar_that_falls_silent_stops_it_within_half_a_second_and_the_braking
     after = round((3.0 + STALE_S + 0.5) / STEP_S)
     assert track[round(2.9 / STEP_S), 1] > 0.5
     assert abs(track[after:, 1]).max() < 1e-6
+
+
+def test_ardupilot_stops_before_the_wall_too() -> None:
+    track = fly(wall_m=5.0, wish_m_s=0.5, brake=ArduPilotBrake(margin=1.5), seed=3)
+    assert track[:, 1].max() > 0.4
+    assert (5.0 - track[:, 0]).min() > 1.0
+
+
+def test_px4_moves_into_no_direction_that_is_unknown_unless_it_may() -> None:
+    def dark(x: float) -> Sides:
+        return (None, FREE, FREE, FREE)
+
+    assert fly_by(Px4Brake(), 1.0, 3.0, dark)[-1, 0] == 0.0
+    assert fly_by(Px4Brake(cp_go_no_data=True), 1.0, 3.0, dark)[-1, 0] > 2.0
+
+
+def test_px4_guides_the_wish_around_a_post_within_its_angle() -> None:
+    message = elements(FREE, FREE, FREE, FREE)
+    message.distances = [120 if j in (71, 0, 1) else one for j, one in enumerate(message.distances)]
+    wish, rest = np.array([1.0, 0.0]), np.zeros(2)
+    straight, guided = Px4Brake(), Px4Brake(cp_guide_ang=30)
+    for brake in (straight, guided):
+        brake.take(message, 0.0)
+    assert straight.velocity(wish, rest, 0.0)[1] == 0.0
+    assert math.degrees(abs(math.atan2(*guided.velocity(wish, rest, 0.0)[::-1]))) == pytest.approx(15, abs=6)
+
+
+# what a real ArduCopter 4.7-dev did, with the messages that it got
+
+
+def test_ardupilot_in_loiter_stops_at_its_margin_before_a_wall() -> None:
+    """Flown: margin 1.5 m, closest 1.42 m, held at 1.57 m."""
+    away = 8.0 - fly_by(ArduPilotBrake(margin=1.5), 0.5, 40.0, wall_in_all_directions(8.0))[:, 0]
+    assert away.min() == pytest.approx(1.42, abs=0.1)
+    assert np.median(away[-500:]) == pytest.approx(1.57, abs=0.2)
+
+
+@pytest.mark.parametrize("wish_m_s", [0.7, 1.5])
+def test_ardupilot_in_guided_stops_about_its_margin_before_a_wall(wish_m_s: float) -> None:
+    """Flown: margin 2 m, between 1.7 and 2.4 m."""
+    away = 8.0 - fly_by(ArduPilotBrake(margin=2.0), wish_m_s, 40.0, wall_in_all_directions(8.0))[:, 0]
+    assert 1.5 <= away.min() < 2.0
+    assert away[-2000:].max() < 2.4
+
+
+def test_ardupilot_is_slow_over_a_floor_that_three_radars_report() -> None:
+    """Flown: 1.5 m/s asked, never above 0.88."""
+    track = fly_by(ArduPilotBrake(margin=2.0), 1.5, 20.0, lambda x: (FREE, 3.04, 3.04, 3.04))
+    assert track[:, 1].max() == pytest.approx(0.88, abs=0.1)
+
+
+def test_ardupilot_flies_backwards_from_an_echo_that_is_folded_near() -> None:
+    """Flown: backwards by itself at 0.74 m/s, with nothing nearer than 10 m."""
+    track = fly_by(ArduPilotBrake(), 0.0, 3.0, lambda x: (0.1, None, None, None))
+    assert track[:, 1].min() == pytest.approx(-0.74, abs=0.03)
+
+
+def test_ardupilot_flies_on_when_distances_end_and_px4_stops() -> None:
+    for brake, flies_on in ((ArduPilotBrake(), True), (Px4Brake(), False)):
+        brake.take(elements(1.0, FREE, FREE, FREE), 0.0)
+        wish = np.array([1.0, 0.0])
+        assert (brake.velocity(wish, np.zeros(2), 0.6)[0] == 1.0) == flies_on
