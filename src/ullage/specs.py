@@ -288,6 +288,9 @@ class RadarSpec(Spec):
     dac_max: int = Field(1100, ge=0, le=2047)
     dac_step: int = Field(0, ge=0, le=3)
     prf_div: int = Field(16, ge=4, le=255, description="pulse repetition frequency = 243 MHz / prf_div")
+    stagger_div: int | None = Field(
+        None, ge=4, le=255, description="prf_div of every second frame: folded echoes then change place; none: prf_div"
+    )
     duty: float = Field(0.95, gt=0, le=1)
     noise: NoiseSpec | None = NoiseSpec()
     mount: MountSpec = MountSpec()

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.data import Frames, Trajectory
+from ullage.data import Frames, Trajectory, even_times
 from ullage.errors import InputError
+from ullage.geometry import rpy_quat
 from ullage.processing.obstacles import ObstacleSectors, ObstacleStage
 from ullage.processing.range_tracks import Motion, RangeTracker, Track, TrackerSpec
 
@@ -100,14 +102,108 @@ def test_a_track_dies_when_its_echo_stays_away_but_not_inside_the_blind_range() 
         assert bool([feed(tracker, row, []) for row in range(10, 30)][-1]) == alive
 
 
-def test_the_floor_of_a_level_flight_is_outside_the_main_lobe() -> None:
-    tracker = RangeTracker()
-    for row in range(30):
-        tracks = feed(tracker, row, [1.2, 5.0 - 0.7 * row / RATE_HZ], 0.7)
-    floor, wall = tracks
-    assert floor.outside
-    assert not wall.outside
-    assert wall.closing_m_s == pytest.approx(0.7, abs=0.03)
+@pytest.mark.parametrize("staggered", [False, True])
+def test_an_echo_in_every_second_frame_is_a_fold_where_the_pulse_interval_alternates(staggered: bool) -> None:
+    fold, steady = RangeTracker(staggered=staggered), RangeTracker(staggered=staggered)
+    folds = [bool(feed(fold, row, [3.0] if row % 2 else [])) for row in range(40)]
+    assert any(folds) != staggered
+    assert all([bool(feed(steady, row, [3.0])) for row in range(40)][2:])
+
+
+def box(place: str, size: str) -> str:
+    return (
+        f"<model name='{place}'><static>1</static><pose>{place} 0 0 0</pose><link name='l'><collision name='c'>"
+        f"<geometry><box><size>{size}</size></box></geometry></collision></link></model>"
+    )
+
+
+FLOOR, WALL, LEFT_WALL = box("0 0 -0.1", "40 40 0.2"), box("4 0 3", "0.2 30 12"), box("0 4 3", "30 0.2 12")
+POLE = (
+    "<model name='pole'><static>1</static><pose>1.5 0 1.5 0 0 0</pose><link name='l'><collision name='c'>"
+    "<geometry><cylinder><radius>0.05</radius><length>2.9</length></cylinder></geometry></collision></link></model>"
+)
+
+
+def world(tmp_path: Path, *models: str) -> ul.Scene:
+    file = tmp_path / "w.sdf"
+    file.write_text(f"<sdf version='1.9'><world name='w'>{''.join(models)}</world></sdf>")
+    return ul.load_scene(str(file))
+
+
+def flown(
+    scene: ul.Scene, start: tuple[float, float, float], speed: tuple[float, float, float] = (0, 0, 0), *,
+    pitch_deg: float = 0.0, frames: int = 30, rig: ul.Rig | None = None,
+) -> list[ObstacleSectors]:  # fmt: skip
+    t_ns = even_times(RATE_HZ, count=frames)
+    quat = rpy_quat(np.zeros(frames), np.full(frames, math.radians(pitch_deg)), np.zeros(frames))
+    path = Trajectory(t_ns, np.array(start) + t_ns[:, None] * 1e-9 * np.array(speed), quat)
+    return one_by_one(ObstacleStage(), ul.simulate(scene, path, rig or ul.Rig.preset("thesis-4"), seed=1))
+
+
+def filled(found: ObstacleSectors, below_m: float = 5.0) -> list[int]:
+    """Azimuths of the elements with an obstacle nearer than a distance, counter-clockwise [deg], -175 to 180."""
+    return sorted((5 * k + 175) % 360 - 175 for k in np.flatnonzero(found.nearest_m() < below_m).tolist())
+
+
+@pytest.mark.parametrize("speed_m_s", [0.0, 0.7])
+def test_a_wall_ahead_fills_the_elements_ahead_and_no_others(tmp_path: Path, speed_m_s: float) -> None:
+    """The sides hear it 25 dB and the back 38 dB weaker: side lobes of one obstacle."""
+    last = flown(world(tmp_path, WALL), (0.5, 0, 3), (speed_m_s, 0, 0))[-1]
+    truth = 3.9 - 0.5 - speed_m_s * 29 / RATE_HZ
+    assert 0 in filled(last)
+    assert max(map(abs, filled(last))) <= 20
+    assert np.nanmin(last.nearest_m()) == pytest.approx(truth, abs=0.05)
+    assert np.degrees(np.abs(last.tracks.azimuth_rad)).max() < 15
+
+
+@pytest.mark.parametrize(
+    ("height_m", "speed", "pitch_deg"),
+    [
+        (1.5, (0, 0, 0), 0),
+        (3.5, (0, 0, 0), 0),
+        (1.5, (0, 0, 0), 10),
+        (2.0, (0.7, 0, 0), 0),
+        (2.0, (1.0, 0, 0), 10),
+        (2.0, (0, 0, 0.5), 0),
+    ],
+)
+def test_a_bare_floor_is_no_obstacle(
+    tmp_path: Path, height_m: float, speed: tuple[float, float, float], pitch_deg: float
+) -> None:
+    for found in flown(world(tmp_path, FLOOR), (0, 0, height_m), speed, pitch_deg=pitch_deg):
+        assert filled(found) == []
+
+
+def test_a_pole_as_far_as_the_floor_counts(tmp_path: Path) -> None:
+    last = flown(world(tmp_path, FLOOR, POLE), (0, 0, 1.45))[-1]
+    assert 0 in filled(last)
+    assert max(map(abs, filled(last))) <= 45
+
+
+def test_a_hover_before_two_equal_walls_leaves_neither_free(tmp_path: Path) -> None:
+    """Their levels and ranges are those of one thing between them too: all of it is reported."""
+    scene = world(tmp_path, WALL, LEFT_WALL)
+    assert {0, 45, 90} <= set(filled(flown(scene, (1, 1, 3))[-1]))
+    moving = filled(flown(scene, (0.9, 1, 3), (0.5, 0, 0))[-1])
+    assert {0, 90} <= set(moving)
+    assert not {30, 45, 60} & set(moving)
+
+
+def test_a_floor_of_known_height_is_no_obstacle_to_one_radar(tmp_path: Path) -> None:
+    path = Trajectory.stationary(position_m=(0, 0, 2), n=20)
+    frames = ul.simulate(world(tmp_path, FLOOR), path, ul.Rig.preset("single"), seed=1)
+    for floor_z_m, free in ((None, False), (0.0, True)):
+        last = one_by_one(ObstacleStage(floor_z_m=floor_z_m), frames)[-1]
+        assert (0 not in filled(last)) == free
+
+
+def test_a_folded_wall_is_not_near_with_a_staggered_pulse_interval(tmp_path: Path) -> None:
+    """11.5 m past a wall an obstacle stood 1.58 m behind: the wall, folded by the pulse interval."""
+    wall = world(tmp_path, box("-11.6 0 3", "0.2 30 12"))
+    for changes, near in (({}, True), ({"stagger_div": 17}, False)):
+        rig = ul.Rig.preset("thesis-4", **changes)
+        last = flown(wall, (0, 0, 3), (0.5, 0, 0), rig=rig)[-1]
+        assert bool(filled(last)) == near
 
 
 @pytest.fixture(scope="module")

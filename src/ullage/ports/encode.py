@@ -88,13 +88,10 @@ def range_message(t_ns: int, range_m: float, limits_m: tuple[float, float], fov_
 def scan_message(sectors: ObstacleSectors, *, frame_id: str) -> bytes:
     """Encode the nearest obstacle in 72 horizontal directions of the body as LaserScan; +inf: free, NaN: unknown."""
     angles = -np.pi + 2 * np.pi / SCAN_DIRECTIONS * np.arange(SCAN_DIRECTIONS)
-    ranges = np.full(SCAN_DIRECTIONS, np.nan, np.float32)
-    for k, angle in enumerate(angles):
-        inside = sectors.covers(float(angle))
-        near = sectors.distance_m[inside]
-        known = np.isfinite(near)
-        if known.any() or sectors.valid[inside].all():
-            ranges[k] = np.min(near[known], initial=np.inf) if inside.any() else np.nan
+    inside = np.array([sectors.covers(float(angle)) for angle in angles])
+    sound = inside.any(1) & ~(inside & ~sectors.valid).any(1)
+    near = np.roll(sectors.nearest_m(), SCAN_DIRECTIONS // 2)
+    ranges = np.where(np.isfinite(near) | sound, near, np.nan).astype(np.float32)
     low, high = float(np.max(sectors.least_m)), float(np.min(sectors.reach_m))
     head = ros.header(max(sectors.t_ns, 0), frame_id)
     step = 2 * np.pi / SCAN_DIRECTIONS

@@ -1,8 +1,8 @@
 """Limit a wanted velocity so that the drone stops before the obstacles that its radars follow.
 
-A velocity is safe where the drone still stops in time if every later command is zero (`processing.braking`). Radars
-measure no bearing. The main lobe bounds the speed at which a velocity closes on an obstacle, and the closing speed that
-the present velocity causes bounds it more sharply. The guard uses obstacle distances and odometry alone.
+A velocity is safe where the drone still stops in time if every later command is zero (`processing.braking`). The
+directions in which a track may lie bound the speed at which a velocity closes on it. The closing speed that the present
+velocity causes bounds it too. The guard uses obstacle distances and odometry alone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from ullage.arrays import Bools, Floats, Longs
 from ullage.config import GuardSpec
 from ullage.data import Trajectory
 from ullage.errors import InputError
-from ullage.geometry import quat_matrix
+from ullage.geometry import quat_matrix, transform
+from ullage.processing.bearings import CELLS, LEVEL
 from ullage.processing.braking import Approach, safe_shares
 from ullage.processing.obstacles import ObstacleSectors
 
@@ -27,6 +28,7 @@ State = Literal["free", "limited", "stop", "back_off"]
 
 _LEAST_SPEED_M_S = 0.1  # below it, a closing speed gives no bearing
 _STOPPED_M_S = 0.03
+_HALF_CELL_RAD = math.radians(2.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,42 +77,44 @@ class Guard:
             raise InputError(f"the wanted velocity is {want.tolist()}", where="Guard", allowed="three finite numbers")
         if odometry is None:
             raise InputError("the guard has no odometry", where="Guard", allowed="believed poses with velocities")
-        world_from_body = quat_matrix(odometry.quat_xyzw[-1])
-        own = world_from_body.T @ odometry.rates[0][-1]
-        table = self._table(own, sectors, world_from_body)
-        limit = self._limit(want, own, sectors, table, world_from_body)
+        forward = quat_matrix(odometry.quat_xyzw[-1])[:, 0]
+        world_from_level = transform(rpy_rad=(0.0, 0.0, math.atan2(forward[1], forward[0])))[:3, :3]
+        own = world_from_level.T @ odometry.rates[0][-1]
+        table = self._table(own, sectors, world_from_level)
+        limit = self._limit(want, own, sectors, table, world_from_level)
         self._commands.append((sectors.t_ns, limit.velocity))
         return limit
 
     def _limit(
-        self, want: Floats, own: Floats, sectors: ObstacleSectors, table: _Table, world_from_body: Floats
+        self, want: Floats, own: Floats, sectors: ObstacleSectors, table: _Table, world_from_level: Floats
     ) -> Limit:
         speed = float(np.linalg.norm(want))
         kept = table.nearer_by(self.spec.release_m) if self._held else table
-        share, k, free_m = self._share(world_from_body.T @ want, own, sectors, kept)
+        share, k, free_m = self._share(world_from_level.T @ want, own, sectors, kept)
         now = self._recovered(share * speed, sectors.t_ns)
         self._held = speed > _STOPPED_M_S and share * speed < _STOPPED_M_S
         sensor = sectors.sensors[k] if k >= 0 else ""
         away = self._back_off(own, sectors, table)
         if away is not None:
-            return Limit(world_from_body @ away, "back_off", sensor, free_m)
+            return Limit(world_from_level @ away, "back_off", sensor, free_m)
         if speed - now < 1e-6:
             return Limit(want, "free", "", math.nan)
         velocity = want * (now / speed)
         return Limit(velocity, "stop" if self._held else "limited", sensor, free_m)
 
-    def _table(self, own: Floats, sectors: ObstacleSectors, world_from_body: Floats) -> _Table:
+    def _table(self, own: Floats, sectors: ObstacleSectors, world_from_level: Floats) -> _Table:
         while self._commands and self._end_s(self._commands[0][0], sectors.t_ns) <= 0:
             self._commands.popleft()
         tracks, spec = sectors.tracks, self.spec
         still = np.zeros(len(tracks))
         free = tracks.distance_m - spec.sigmas * tracks.sigma_m - self._hull_m - spec.margin_m
         moving = np.maximum(tracks.closing_speed_m_s - np.linalg.norm(own), 0.0)
-        table = _Table(tracks.sensor, tracks.outside, tracks.closing_speed_m_s, spec.sigmas * tracks.closing_sigma_m_s,
+        sigma = spec.sigmas * tracks.closing_sigma_m_s
+        table = _Table(tracks.sensor, sectors.directions(), tracks.closing_speed_m_s, sigma,
                        Approach(free, still, moving, still[None], still[:0]))  # fmt: skip
-        issued = [_closing(world_from_body.T @ velocity, own, sectors, table) for _, velocity in self._commands]
+        issued = [_closing(world_from_level.T @ velocity, own, table) for _, velocity in self._commands]
         return replace(table, approach=replace(
-            table.approach, speed_m_s=_closing(own, own, sectors, table),
+            table.approach, speed_m_s=_closing(own, own, table),
             issued_m_s=np.array(issued).reshape(len(issued), len(tracks)),
             ends_s=np.array([self._end_s(t_ns, sectors.t_ns) for t_ns, _ in self._commands]),
         ))  # fmt: skip
@@ -127,7 +131,7 @@ class Guard:
             level = math.hypot(want[0], want[1])
             silent = np.flatnonzero(~sectors.valid)
             return min(1.0, self.spec.unseen_m_s / level), int(silent[0]) if len(silent) else -1, math.nan
-        closing = _closing(want, own, sectors, table)
+        closing = _closing(want, own, table)
         shares = safe_shares(table.approach, closing, self.spec)
         if not len(shares) or shares.min() >= 1:
             return 1.0, -1, math.nan
@@ -145,10 +149,12 @@ class Guard:
         """Return a velocity in the body away from an obstacle well inside the margin; None: not needed, or no space."""
         if not self.spec.back_off_m_s:
             return None
-        near = (table.approach.free_m < -self.spec.back_off_share * self.spec.margin_m) & ~table.outside
-        push = -sectors.boresight[np.unique(table.sensor[near])].sum(0) * np.array([1.0, 1.0, 0.0])
+        level = table.cells & LEVEL
+        near = (table.approach.free_m < -self.spec.back_off_share * self.spec.margin_m) & level.any(1)
+        share = level[near] / level[near].sum(1, keepdims=True)
+        push = -(share @ CELLS).sum(0) * np.array([1.0, 1.0, 0.0])
         size = float(np.linalg.norm(push))
-        if size < 0.5:  # none, or opposite ones
+        if size < 0.3:  # none, or opposite ones
             return None
         away = push / size * self.spec.back_off_m_s
         others = table.only(~near)
@@ -160,7 +166,7 @@ class _Table:
     """Tracks of working sensors, as the guard uses them."""
 
     sensor: Longs  # (m)
-    outside: Bools  # (m)
+    cells: Bools  # (m, n) directions in which each may lie
     closing: Floats  # (m) measured [m/s]
     sigma: Floats  # (m) of it, times the factor of the settings [m/s]
     approach: Approach
@@ -168,7 +174,7 @@ class _Table:
     def only(self, rows: Bools) -> _Table:
         """Some of them."""
         return _Table(
-            self.sensor[rows], self.outside[rows], self.closing[rows], self.sigma[rows], self.approach.only(rows)
+            self.sensor[rows], self.cells[rows], self.closing[rows], self.sigma[rows], self.approach.only(rows)
         )
 
     def nearer_by(self, length_m: float) -> _Table:
@@ -183,21 +189,21 @@ def _covered(want: Floats, sectors: ObstacleSectors) -> bool:
     return bool((sectors.covers(math.atan2(want[1], want[0])) & sectors.valid).any())
 
 
-def _closing(want: Floats, own: Floats, sectors: ObstacleSectors, table: _Table) -> Floats:
-    """Greatest speed (m) at which a velocity in the body can close on each track.
+def _closing(want: Floats, own: Floats, table: _Table) -> Floats:
+    """Greatest speed (m) at which a velocity, in the frame of the cells, can close on each track.
 
-    Two bounds hold for an object at rest at bearing u, and the smaller one counts. The main lobe bounds want . u by its
-    edge nearest to the velocity. The present velocity v closes at c = v . u, which gives the part of want along v;
-    the part across it closes at its full size at most.
+    Two bounds hold for an object at rest at bearing u, and the smaller one counts. The cells in which it may lie bound
+    want . u by the one nearest to the velocity. The present velocity v closes at c = v . u, which gives the part of
+    want along v; the part across it closes at its full size at most.
     """
     size, speed = float(np.linalg.norm(want)), float(np.linalg.norm(own))
-    cosine = sectors.boresight[table.sensor] @ want / max(size, 1e-12)
-    off = np.maximum(np.arccos(np.clip(cosine, -1, 1)) - sectors.width_rad[table.sensor] / 2, 0.0)
-    lobe = np.where(table.outside, 0.0 if speed < _LEAST_SPEED_M_S else np.inf, size * np.cos(off))
+    cosine = np.where(table.cells, CELLS @ want / max(size, 1e-12), -1.0).max(1, initial=-1.0)
+    off = np.maximum(np.arccos(np.clip(cosine, -1, 1)) - _HALF_CELL_RAD, 0.0)
+    ahead = np.maximum(size * np.cos(off), 0.0)
     if speed < _LEAST_SPEED_M_S:
-        return np.asarray(np.maximum(lobe, 0.0))
+        return np.asarray(ahead)
     along = float(want @ own) / speed
-    across = np.where(table.outside, 0.0, math.sqrt(max(size**2 - along**2, 0.0)))
+    across = math.sqrt(max(size**2 - along**2, 0.0))
     edge = table.closing + math.copysign(1.0, along) * table.sigma
     motion = along * np.clip(edge / speed, -1, 1) + across
-    return np.asarray(np.maximum(np.minimum(lobe, motion), 0.0))
+    return np.asarray(np.clip(motion, 0.0, ahead))

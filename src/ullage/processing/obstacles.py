@@ -1,8 +1,8 @@
-"""The nearest obstacle in the sector of each radar, tracked over frames, with its closing speed.
+"""Obstacles around the body: range tracks of every radar, the directions each may lie in, and sectors of both.
 
 Detections come from CFAR [Rohling1983] after the radar's own echo is removed. A Kalman filter follows each echo in
-range (`processing.range_tracks`). A radar measures no bearing, so an obstacle bounds the whole sector of its main
-lobe. Ego-motion separates floor and side lobes: they do not close as fast as objects in the main lobe must.
+range (`processing.range_tracks`). Levels, lever arms and motion give the directions of each track as a credible set on
+a grid (`processing.bearings`). A track counts in every sector that its set touches, and in no other.
 Distances hold for the requested time: between the frames of a sensor, its tracks move on at their closing speeds.
 A sensor that is silent, or repeats one frame, has an unknown distance: the pilot has to stop.
 """
@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,11 +20,14 @@ from ullage.antenna import boresight_pattern
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.data import Detections, Frames
 from ullage.errors import InputError
-from ullage.geometry import C0, quat_matrix
-from ullage.processing.baseband import has_phase, noise_correlation
+from ullage.geometry import C0, quat_matrix, transform
+from ullage.processing import bearings
+from ullage.processing.baseband import envelope, has_phase, noise_correlation
+from ullage.processing.bearings import CELLS, LEVEL, Echoes, RadarView
 from ullage.processing.detect import detect
-from ullage.processing.echoes import blind_m
+from ullage.processing.echoes import blind_m, profile_noise
 from ullage.processing.health import HealthMonitor
+from ullage.processing.inverse_sensor import mirror_m
 from ullage.processing.own_echo import OwnEchoFilter
 from ullage.processing.range_tracks import Motion, RangeTracker, Track, TrackerSpec
 from ullage.specs import RadarSpec
@@ -45,7 +48,10 @@ class ObstacleTracks:
     closing_speed_m_s: Floats  # (m) above zero: approaches [m/s]
     closing_sigma_m_s: Floats  # (m) [m/s]
     snr_db: Floats  # (m) at its last detection [dB]
-    outside: Bools  # (m) ego-motion shows that it lies outside the main lobe, such as the floor
+    outside: Bools  # (m) it lies outside the main lobe of its sensor, such as the floor
+    cells: Bools | None = None  # (m, n) directions of `bearings.CELLS` in which it may lie; None: all of its lobe
+    azimuth_rad: Floats | None = None  # (m) mean, counter-clockwise from forward [rad]
+    azimuth_sigma_rad: Floats | None = None  # (m) [rad]
 
     def __len__(self) -> int:
         return len(self.sensor)
@@ -78,6 +84,18 @@ class ObstacleSectors:
     def __len__(self) -> int:
         return len(self.sensors)
 
+    def directions(self) -> Bools:
+        """Return the cells (m, n) of `bearings.CELLS` in which each track may lie."""
+        if self.tracks.cells is not None:
+            return self.tracks.cells
+        lobe = _lobes(self.boresight, self.width_rad)[self.tracks.sensor]
+        return np.asarray(lobe ^ self.tracks.outside[:, None])
+
+    def nearest_m(self) -> Floats:
+        """Return the nearest obstacle (72) in level directions, 5 degrees apart, counter-clockwise [m]; +inf: none."""
+        level = self.directions()[:, LEVEL].reshape(len(self.tracks), 3, bearings.AZIMUTHS).any(1)
+        return np.asarray(np.where(level, self.tracks.distance_m[:, None], np.inf).min(0, initial=np.inf))
+
     @property
     def time_to_collision_s(self) -> Floats:
         """Distance over closing speed (k) [s]; +inf where nothing approaches, NaN where unknown."""
@@ -96,6 +114,17 @@ class ObstacleSectors:
         return np.asarray(np.arccos(np.clip(ahead, -1, 1)) <= self.width_rad / 2)
 
 
+class _Profile(NamedTuple):
+    """What a radar received in one frame, without its own echo."""
+
+    range_m: Floats  # (b) [m]
+    level_db: Floats  # (b)
+    peak_m: Floats  # (q) [m]
+    peak_db: Floats  # (q)
+    noise_db: float
+    mirror_db: float
+
+
 @dataclass(slots=True)
 class _Sensor:
     """State of one radar."""
@@ -104,9 +133,11 @@ class _Sensor:
     tracker: RangeTracker
     boresight: Floats  # (3) in the body
     half_lobe_rad: float
-    arm_m: float  # least distance by which the mount adds to a range in the main lobe
+    arm_m: float  # least distance by which the mount adds to a range in the main lobe: of its blind range and reach
     range_m: tuple[float, float]  # first and last bin
     correlation: Complexes  # of the noise between bins
+    body_from_sensor: Floats  # (4, 4)
+    profile: _Profile | None = None  # of the last frame
     fresh_ns: int | None = None
     confirmed: list[Track] = field(default_factory=list)
     right_way: int = 0  # frames that agree with the mount
@@ -122,6 +153,9 @@ class _Sensor:
         return sorted((track.after(age_s, noise) for track in self.confirmed), key=lambda track: track.range_m)
 
 
+_Found = tuple[Detections, Longs, list[_Profile]]
+
+
 @dataclass(slots=True)
 class ObstacleStage:
     """Obstacle distances, one `ObstacleSectors` for each time at which a frame came.
@@ -133,6 +167,7 @@ class ObstacleStage:
         stale_s: without a new frame for so long, a distance is unknown [s].
         tracker: settings of the tracks.
         own_echo: removes the radar's own echo; None: it stays.
+        floor_z_m: height of the floor in the world, if it is known [m].
     """
 
     expected: Mapping[str, RadarSpec] | None = None
@@ -140,6 +175,9 @@ class ObstacleStage:
     stale_s: float = STALE_S
     tracker: TrackerSpec = field(default_factory=TrackerSpec)
     own_echo: OwnEchoFilter | None = field(default_factory=lambda: OwnEchoFilter(most=48, growth=1.5))
+    floor_z_m: float | None = None
+    _attitude: Floats = field(default_factory=lambda: np.eye(3))  # world_from_body at the last frame
+    _height_m: float = math.nan  # over the known floor
     _sensors: dict[str, _Sensor] = field(default_factory=dict)
     _health: HealthMonitor = field(default_factory=HealthMonitor)
     _due: list[str] = field(default_factory=list)  # sensors whose own echo is to be estimated anew
@@ -160,11 +198,11 @@ class ObstacleStage:
         """
         clean = self._without_own_echo(chunk)
         events: list[tuple[int, str, int]] = []
-        found: dict[str, tuple[Detections, Longs]] = {}
+        found: dict[str, _Found] = {}
         for name, part in clean.items():
             self._check_known(name, part)
             hits = _detections(part, self.pfa, self._sensors[name].correlation)
-            found[name] = hits, np.searchsorted(hits.frame, np.arange(len(part) + 1))
+            found[name] = hits, np.searchsorted(hits.frame, np.arange(len(part) + 1)), _profiles(part)
             events += [(int(t_ns), name, row) for row, t_ns in enumerate(part.t_ns)]
         events.sort()
         return self._steps(events, chunk, found)
@@ -180,36 +218,77 @@ class ObstacleStage:
         causes = [self._health.fault(name, t_ns) or "no new frame" for name in self._sensors]
         fault = tuple(s.fault or (why if late else "") for s, late, why in zip(parts, stale, causes, strict=True))
         valid = np.array([not text for text in fault], bool)
-        tracks = [s.tracks_at(t_ns) for s in parts]
-        near = [next((track for track in found if not track.outside), None) for found in tracks]
         bore = np.array([s.boresight for s in parts]).reshape(-1, 3)
+        width = np.array([2 * s.half_lobe_rad for s in parts])
         arm = np.array([s.arm_m for s in parts])
+        tracks = self._tracks(t_ns, parts, valid, _lobes(bore, width))
+        near = _nearest(tracks, _lobes(bore, width))
 
-        def column(get: Any, missing: float) -> Floats:
-            values = np.array([missing if track is None else get(track) for track in near], float)
-            return np.where(valid, values, np.nan)
+        def column(values: Floats, missing: float) -> Floats:
+            return np.where(valid, np.append(values, missing)[near], np.nan)
 
         return ObstacleSectors(
             t_ns=t_ns, sensors=tuple(self._sensors), boresight=bore, centre_rad=np.arctan2(bore[:, 1], bore[:, 0]),
-            width_rad=np.array([2 * s.half_lobe_rad for s in parts]),
+            width_rad=width,
             least_m=np.array([s.tracker.blind_m for s in parts]) + arm,
             reach_m=np.array([s.range_m[1] for s in parts]) + arm,
-            distance_m=column(lambda track: track.range_m, math.inf) + arm,
-            sigma_m=column(lambda track: math.sqrt(track.var_r), math.nan),
-            closing_speed_m_s=column(lambda track: track.closing_m_s, math.nan),
-            closing_sigma_m_s=column(lambda track: math.sqrt(track.var_v), math.nan),
-            valid=valid, stale=stale, fault=fault, tracks=_table(parts, tracks, valid),
+            distance_m=column(tracks.distance_m, math.inf),
+            sigma_m=column(tracks.sigma_m, math.nan),
+            closing_speed_m_s=column(tracks.closing_speed_m_s, math.nan),
+            closing_sigma_m_s=column(tracks.closing_sigma_m_s, math.nan),
+            valid=valid, stale=stale, fault=fault, tracks=tracks,
         )  # fmt: skip
+
+    def _tracks(self, t_ns: int, parts: list[_Sensor], valid: Bools, lobes: Bools) -> ObstacleTracks:
+        rows = [(k, track) for k, s in enumerate(parts) if valid[k] for track in s.tracks_at(t_ns)]
+        radar = np.array([k for k, _ in rows], np.int64)
+
+        def column(get: Any) -> Floats:
+            return np.array([get(track) for _, track in rows], float)
+
+        range_m = column(lambda track: track.range_m)
+        at_frame = [{track.number: track.range_m for track in s.confirmed} for s in parts]
+        echoes = Echoes(radar.tolist(), np.array([at_frame[k][track.number] for k, track in rows]),
+                        column(lambda track: track.rate_m_s), [track.sums for _, track in rows])  # fmt: skip
+        yaw = math.atan2(self._attitude[1, 0], self._attitude[0, 0])
+        turn = transform(rpy_rad=(0.0, 0.0, -yaw))[:3, :3] @ self._attitude
+        views = [self._view(s, turn) if valid[k] else None for k, s in enumerate(parts)]
+        chance = bearings.posterior(echoes, views, yaw)
+        cells = bearings.credible(chance)
+        arms = np.array([turn @ s.body_from_sensor[:3, 3] for s in parts]).reshape(-1, 3)[radar]
+        mean, spread = bearings.azimuth(chance)
+        return ObstacleTracks(
+            radar,
+            np.array([track.number for _, track in rows], np.int64),
+            range_m + np.where(cells, arms @ CELLS.T, np.inf).min(1, initial=np.inf),
+            column(lambda track: math.sqrt(track.var_r)),
+            column(lambda track: track.closing_m_s),
+            column(lambda track: math.sqrt(track.var_v)),
+            column(lambda track: track.snr_db),
+            ~(cells & lobes[radar]).any(1), cells, mean, spread,
+        )  # fmt: skip
+
+    def _view(self, sensor: _Sensor, turn: Floats) -> RadarView | None:
+        """Return what a radar last received, in the level frame that the body is turned from (3, 3)."""
+        if sensor.profile is None:
+            return None
+        pose = turn @ sensor.body_from_sensor[:3]
+        pattern = boresight_pattern(sensor.spec.antenna)
+        off = np.arccos(np.clip(CELLS @ pose[:, 0], -1, 1))
+        height_m = self._height_m + float(pose[2, 3])
+        return RadarView(2 * pattern.gain_dbi(off), pose[:, 3], *sensor.profile, sensor.tracker.blind_m,
+                         (sensor.fresh_ns or 0) * 1e-9, height_m)  # fmt: skip
 
     def _steps(
         self, events: list[tuple[int, str, int]], chunk: Mapping[str, Frames],
-        found: Mapping[str, tuple[Detections, Longs]],
+        found: Mapping[str, _Found],
     ) -> Iterator[ObstacleSectors]:  # fmt: skip
         sound = self._health.judge(chunk)
         for index, (t_ns, name, row) in enumerate(events):
-            hits, edges = found[name]
+            hits, edges, profiles = found[name]
             if sound[name][row]:
-                self._step(self._sensors[name], chunk[name], row, hits, slice(edges[row], edges[row + 1]))
+                which = slice(edges[row], edges[row + 1])
+                self._step(self._sensors[name], chunk[name], row, hits, which, profiles[row])
             if index + 1 == len(events) or events[index + 1][0] != t_ns:
                 yield self.sectors(t_ns)
         self._learn(chunk)  # the pilot has its distances by now
@@ -232,13 +311,30 @@ class ObstacleStage:
         if self._due:
             self.own_echo.renew(self._due.pop(0))
 
-    def _step(self, sensor: _Sensor, frames: Frames, row: int, hits: Detections, which: slice) -> None:
+    def _step(
+        self, sensor: _Sensor, frames: Frames, row: int, hits: Detections, which: slice, profile: _Profile
+    ) -> None:
         t_ns = int(frames.t_ns[row])
         motion = _motion(frames, row, sensor)
         snr = np.nan_to_num(hits.snr_db[which], nan=60.0, posinf=60.0)
         sensor.confirmed = sensor.tracker.step(t_ns, hits.range_m[which], _sigma_m(frames, snr), snr, motion)
-        sensor.fresh_ns = t_ns
+        sensor.fresh_ns, sensor.profile = t_ns, profile
+        place = self._placed(sensor, frames, row)
+        for track in sensor.tracker.tracks:
+            if track.seen_ns == t_ns:
+                nearest = int(np.argmin(np.abs(profile.peak_m - track.measured_m)))
+                track.sums.add(place, t_ns * 1e-9, track.measured_m, float(profile.peak_db[nearest]))
         _check_mount(sensor, motion)
+
+    def _placed(self, sensor: _Sensor, frames: Frames, row: int) -> Floats:
+        """Take the body's attitude and height from a frame; return the place of the sensor (3) in the world [m]."""
+        if frames.poses is None:
+            return np.zeros(3)
+        place, turn = frames.poses.position[row], quat_matrix(frames.poses.quat_xyzw[row])
+        self._attitude = turn @ sensor.body_from_sensor[:3, :3].T
+        if self.floor_z_m is not None:
+            self._height_m = float((place - self._attitude @ sensor.body_from_sensor[:3, 3])[2]) - self.floor_z_m
+        return np.asarray(place)
 
     def _check_known(self, name: str, part: Frames) -> None:
         if name not in self._sensors:
@@ -258,7 +354,33 @@ def _sensor(spec: RadarSpec, tracker: TrackerSpec) -> _Sensor:
     bore, arm = body_from_sensor[:3, 0], body_from_sensor[:3, 3]
     away = math.acos(float(np.clip(bore @ arm / max(float(np.linalg.norm(arm)), 1e-12), -1, 1)))
     least_m = float(np.linalg.norm(arm)) * math.cos(min(away + half, math.pi))
-    return _Sensor(spec, RangeTracker(tracker), bore.copy(), half, least_m, (0.0, math.inf), noise_correlation(spec))
+    follow = RangeTracker(tracker, staggered=spec.stagger_div is not None)
+    return _Sensor(spec, follow, bore.copy(), half, least_m, (0.0, math.inf), noise_correlation(spec), body_from_sensor)
+
+
+def _lobes(boresight: Floats, width_rad: Floats) -> Bools:
+    """Return which cells (k, n) the main lobes of radars hold."""
+    return np.asarray(np.arccos(np.clip(boresight @ CELLS.T, -1, 1)) <= width_rad[:, None] / 2)
+
+
+def _nearest(tracks: ObstacleTracks, lobes: Bools) -> Longs:
+    """Return the nearest track (k) in each of some lobes (k, n); the number of tracks where there is none."""
+    cells = tracks.cells if tracks.cells is not None else np.zeros((len(tracks), len(CELLS)), bool)
+    touch = (lobes.astype(np.float32) @ cells.T.astype(np.float32)) > 0
+    far = np.append(np.where(touch, tracks.distance_m, np.inf), np.full((len(lobes), 1), np.inf), axis=1)
+    far[:, -1] = np.finfo(float).max
+    return np.asarray(far.argmin(axis=1))
+
+
+def _profiles(part: Frames) -> list[_Profile]:
+    """Return the profile of every frame."""
+    level = 20 * np.log10(np.maximum(envelope(part).astype(np.float64), 1e-30))
+    noise = 20 * np.log10(profile_noise(part) * math.sqrt(2))
+    mirror = 20 * math.log10(mirror_m(part))
+    return [
+        _Profile(part.range_m, row, *bearings.peaks_of(part.range_m, row), float(one), mirror)
+        for row, one in zip(level, noise, strict=True)
+    ]
 
 
 def _detections(part: Frames, pfa: float, correlation: Complexes) -> Detections:
@@ -294,21 +416,3 @@ def _check_mount(sensor: _Sensor, motion: Motion) -> None:
     sensor.wrong_way += ratio + spread < -0.3
     if sensor.wrong_way >= 10 and sensor.wrong_way > 4 * sensor.right_way:
         sensor.fault = "its strongest echo recedes where the mount says that it approaches: mounted upside down?"
-
-
-def _table(parts: list[_Sensor], tracks: list[list[Track]], valid: Bools) -> ObstacleTracks:
-    rows = [(k, s, track) for k, s in enumerate(parts) if valid[k] for track in tracks[k]]
-
-    def column(get: Any) -> Floats:
-        return np.array([get(s, track) for _, s, track in rows], float)
-
-    return ObstacleTracks(
-        np.array([k for k, _, _ in rows], np.int64),
-        np.array([track.number for _, _, track in rows], np.int64),
-        column(lambda s, track: track.range_m + s.arm_m),
-        column(lambda s, track: math.sqrt(track.var_r)),
-        column(lambda s, track: track.closing_m_s),
-        column(lambda s, track: math.sqrt(track.var_v)),
-        column(lambda s, track: track.snr_db),
-        np.array([track.outside for _, _, track in rows], bool),
-    )

@@ -11,16 +11,16 @@ than M hits in 2 N frames.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from pydantic import Field
 
 from ullage.arrays import Floats
+from ullage.processing.bearings import PathSums
 from ullage.specs import Spec
 
-_UNDECIDED, _OUTSIDE, _MOST_EVIDENCE = 0, 4, 6  # frames that contradict the main lobe
-_LEAST_SPEED_M_S = 0.1  # below it, ego-motion gives no bearing
+_EVERY_SECOND = int("01" * 32, 2)
 
 
 class TrackerSpec(Spec):
@@ -56,7 +56,8 @@ class Track:
     frames: int = 1  # since it began
     score: float = 0.0  # log likelihood ratio of one obstacle to unrelated echoes
     confirmed: bool = False
-    evidence: int = _UNDECIDED  # frames that contradict the main lobe, less those that agree
+    measured_m: float = math.nan  # its last detection
+    sums: PathSums = field(default_factory=PathSums)  # shared with what `after` returns
 
     @property
     def closing_m_s(self) -> float:
@@ -82,11 +83,6 @@ class Track:
         self.cov += time_s * self.var_v + noise * time_s / 2
         self.var_v += noise
 
-    @property
-    def outside(self) -> bool:
-        """Return whether ego-motion shows an object at rest outside the main lobe: floor, ceiling, side lobes."""
-        return self.evidence >= _OUTSIDE
-
 
 @dataclass(frozen=True, slots=True)
 class Motion:
@@ -96,15 +92,6 @@ class Motion:
     boresight: Floats  # (3) unit vector in the world
     half_lobe_rad: float  # half the opening of the main lobe
 
-    def closing_limits(self) -> tuple[float, float]:
-        """Return the least and greatest closing speed of objects at rest in the main lobe [m/s]."""
-        speed = math.sqrt(float(self.velocity @ self.velocity))
-        if speed < 1e-9:
-            return 0.0, 0.0
-        angle = math.acos(min(1.0, max(-1.0, float(self.velocity @ self.boresight) / speed)))
-        most, least = max(0.0, angle - self.half_lobe_rad), min(math.pi, angle + self.half_lobe_rad)
-        return speed * math.cos(least), speed * math.cos(most)
-
 
 class RangeTracker:
     """Follow the echoes of one sensor.
@@ -113,11 +100,14 @@ class RangeTracker:
         spec: settings.
         blind_m: range below which the sensor detects nothing [m].
         span_m: length of the range axis [m].
+        staggered: the pulse interval alternates from frame to frame, so a folded echo is there in every second frame.
     """
 
-    def __init__(self, spec: TrackerSpec | None = None, *, blind_m: float = 0.0, span_m: float = 10.0) -> None:
+    def __init__(
+        self, spec: TrackerSpec | None = None, *, blind_m: float = 0.0, span_m: float = 10.0, staggered: bool = False
+    ) -> None:
         self.spec = spec or TrackerSpec()
-        self.blind_m, self.span_m = blind_m, span_m
+        self.blind_m, self.span_m, self.staggered = blind_m, span_m, staggered
         self.tracks: list[Track] = []
         self._last_ns: int | None = None
         self._velocity = np.zeros(3)
@@ -141,7 +131,7 @@ class RangeTracker:
         if self._last_ns is not None:
             self._predict((t_ns - self._last_ns) * 1e-9, motion)
         self._last_ns, self._velocity = t_ns, motion.velocity
-        free = self._associate(t_ns, range_m, sigma_m, snr_db, motion)
+        free = self._associate(t_ns, range_m, sigma_m, snr_db)
         self._end_tracks(t_ns)
         for k in free[: max(0, self.spec.most - len(self.tracks))]:
             self._begin(t_ns, float(range_m[k]), float(sigma_m[k]), float(snr_db[k]), motion)
@@ -163,7 +153,7 @@ class RangeTracker:
             track.history = (track.history << 1) & ((1 << 2 * self.spec.window) - 1)
             track.frames += 1
 
-    def _associate(self, t_ns: int, range_m: Floats, sigma_m: Floats, snr_db: Floats, motion: Motion) -> list[int]:
+    def _associate(self, t_ns: int, range_m: Floats, sigma_m: Floats, snr_db: Floats) -> list[int]:
         """Update each track with the detection nearest to it; the detections that no track took, nearest first."""
         free = list(range(len(range_m)))
         if self.tracks and free:
@@ -181,12 +171,12 @@ class RangeTracker:
                 track, sigma = self.tracks[i], float(sigma_m[k])
                 density = math.exp(-apart[i, k] / 2) / math.sqrt(2 * math.pi * (track.var_r + sigma**2))
                 track.score += math.log(max(density / clutter_m, 1e-9))
-                self._update(track, t_ns, float(range_m[k]), sigma, float(snr_db[k]), motion)
+                self._update(track, t_ns, float(range_m[k]), sigma, float(snr_db[k]))
                 rank[i, :] = rank[:, k] = np.inf
                 free.remove(k)
         return free
 
-    def _update(self, track: Track, t_ns: int, range_m: float, sigma_m: float, snr_db: float, motion: Motion) -> None:
+    def _update(self, track: Track, t_ns: int, range_m: float, sigma_m: float, snr_db: float) -> None:
         total = track.var_r + sigma_m**2
         gain_r, gain_v, error = track.var_r / total, track.cov / total, range_m - track.range_m
         track.range_m += gain_r * error
@@ -194,11 +184,10 @@ class RangeTracker:
         track.var_v -= gain_v * track.cov
         track.cov *= 1 - gain_r
         track.var_r *= 1 - gain_r
-        track.snr_db, track.seen_ns = snr_db, t_ns
+        track.snr_db, track.seen_ns, track.measured_m = snr_db, t_ns, range_m
         track.history |= 1
         often = self._recent_hits(track) >= self.spec.hits and track.score >= math.log(self.spec.odds)
         track.confirmed = track.confirmed or often or self.spec.hits == 1
-        track.evidence = _weighed(track, motion)
 
     def _end_tracks(self, t_ns: int) -> None:
         kept = []
@@ -208,7 +197,7 @@ class RangeTracker:
                 # an obstacle may touch the hull unseen: its range stays at zero, not below
                 track.range_m = max(track.range_m, 0.0)
                 hidden = track.range_m < self.blind_m
-                seldom = track.frames >= 2 * self.spec.window and track.history.bit_count() <= self.spec.hits
+                seldom = track.frames >= 2 * self.spec.window and self._hits(track.history) <= self.spec.hits
                 alive = missed_s <= (self.spec.blind_s if hidden else 0.0 if seldom else self.spec.coast_s)
             else:
                 alive = (
@@ -221,25 +210,31 @@ class RangeTracker:
 
     def _recent_hits(self, track: Track) -> int:
         """Hits in the last N frames."""
-        return (track.history & ((1 << self.spec.window) - 1)).bit_count()
+        return self._hits(track.history & ((1 << self.spec.window) - 1))
+
+    def _hits(self, history: int) -> int:
+        """Hits in a history; of a staggered radar no more than what the rarer of its two intervals allows."""
+        if not self.staggered:
+            return history.bit_count()
+        odd = (history & _EVERY_SECOND).bit_count()
+        return min(history.bit_count(), 2 * min(odd, history.bit_count() - odd) + 1)
 
     def _begin(self, t_ns: int, range_m: float, sigma_m: float, snr_db: float, motion: Motion) -> None:
         rate = -float(motion.velocity @ motion.boresight)
         var_v = float(motion.velocity @ motion.velocity) + max(self.spec.obstacle_speed_m_s, 0.1) ** 2
         self._count += 1
         self.tracks.append(
-            Track(self._count, range_m, rate, sigma_m**2, 0.0, var_v, snr_db, t_ns, t_ns, confirmed=self.spec.hits == 1)
+            Track(
+                self._count,
+                range_m,
+                rate,
+                sigma_m**2,
+                0.0,
+                var_v,
+                snr_db,
+                t_ns,
+                t_ns,
+                measured_m=range_m,
+                confirmed=self.spec.hits == 1,
+            )
         )
-
-
-def _weighed(track: Track, motion: Motion) -> int:
-    """Evidence that the echo comes from outside the main lobe, after one more frame."""
-    least, most = motion.closing_limits()
-    if max(abs(least), abs(most)) < _LEAST_SPEED_M_S:
-        return track.evidence
-    spread = 2 * math.sqrt(track.var_v)
-    closing = track.closing_m_s
-    if closing + spread < least:
-        return min(track.evidence + 1, _MOST_EVIDENCE)
-    # only a speed that no object outside the lobe has, or a dangerous one, is evidence for the lobe
-    return max(track.evidence - 1, _UNDECIDED) if closing > least else track.evidence

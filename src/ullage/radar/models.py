@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
+import numpy as np
+
 from ullage import plugins
 from ullage.data import Samples, Trajectory, Unit
 from ullage.errors import InputError
@@ -69,7 +71,17 @@ class Physical:
         """Baseband or RF samples with noise and leakage."""
         from ullage.radar.physical import echoes
 
-        clean = echoes(self.scene, truth, spec, max_bounces=self.max_bounces, seed=self.seed)
+        def along(path: Trajectory, one: RadarSpec) -> Samples:
+            return echoes(self.scene, path, one, max_bounces=self.max_bounces, seed=self.seed)
+
+        if spec.stagger_div is None:
+            clean = along(truth, spec)
+        else:
+            odd = (first_frame + np.arange(len(truth))) % 2 == 1
+            clean = np.zeros((len(truth), spec.bins), np.float32 if spec.output == "rf" else np.complex64)
+            for rows, div in ((~odd, spec.prf_div), (odd, spec.stagger_div)):
+                if rows.any():
+                    clean[rows] = along(truth[np.flatnonzero(rows)], spec.but(prf_div=div, stagger_div=None))
         return receive(clean, spec, seed=seed, first_frame=first_frame)
 
 

@@ -62,11 +62,10 @@ def sector_distances(sectors: ObstacleSectors) -> Floats:
     apart = np.arccos(np.clip(sectors.boresight @ level, -1, 1))
     covered = apart <= sectors.width_rad[:, None] / 2 + 1e-9
     part = (2 * np.arange(SECTORS)[:, None] + np.array([-1, 0, 1, 2])) % HALF_STEPS
-    some = covered[:, part].any(axis=2)  # (k, 72)
-    distance = np.where(some, sectors.distance_m[:, None], np.inf)
-    broken = (some & ~sectors.valid[:, None]).any(axis=0)
+    broken = (covered[:, part].any(axis=2) & ~sectors.valid[:, None]).any(axis=0)
     free = (covered & sectors.valid[:, None]).any(axis=0)[part].all(axis=1) & ~broken
-    nearest = np.fmin.reduce(distance, axis=0, initial=np.inf)
+    cells = sectors.nearest_m()[-np.arange(SECTORS)]  # clockwise; a cell reaches 2.5 degrees to both sides
+    nearest = np.minimum(cells, np.roll(cells, -1))
     return np.where(np.isfinite(nearest), nearest, np.where(free, np.inf, np.nan))
 
 
