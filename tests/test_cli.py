@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import trimesh
@@ -156,10 +157,30 @@ def test_a_recording_replays_to_the_same_map(place: Path) -> None:
     assert frames == json.loads((place / "runs/latest/metrics.json").read_text())["frames"]["value"]
 
 
+def test_quiet_runs_say_nothing_and_verbose_ones_each_step(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("run", "walls.yaml", "--force", "--do", "detect")
+    said = {level: Told((*words, *level), place, capsys) for level in ((), ("--quiet",), ("--verbose",))}
+    assert [told.returncode for told in said.values()] == [0, 0, 0]
+    assert said["--quiet",].stdout == said["--quiet",].stderr == ""
+    assert "receiving and mapping" in said[()].stdout
+    assert "frames of" in said[()].stdout
+    assert re.search(r"\d s  \d+ frames of front", said["--verbose",].stdout)
+    assert "frames of front" not in said[()].stdout
+    assert "cargo-hold" in Told(("--quiet", "list"), place, capsys).stdout
+
+
+def test_the_library_logs_and_prints_nothing(capsys: pytest.CaptureFixture[str], caplog: Any) -> None:
+    path = ul.Trajectory.line((-1, 0, 0), (1, 0, 0), 0.5, 9)
+    with caplog.at_level("DEBUG", logger="ullage"):
+        ul.run(ul.simulate(ul.scenes.room((4, 3, 3)), path, ul.RadarSpec.preset("x4m05")))
+    assert any("frames of" in record.getMessage() for record in caplog.records)
+    assert capsys.readouterr() == ("", "")
+
+
 def test_brackets_in_names_are_names(tmp_path, capsys):
     from ullage.view import progress
 
-    progress.log(" pip install 'ullage[view]'", mark="none", style="yellow")
+    progress.answer(" pip install 'ullage[view]'", mark="none", style="yellow")
     progress.log_report(tmp_path / "odd[red]" / "report.html")
     assert capsys.readouterr().out == f"none pip install 'ullage[view]'\nreport: {tmp_path}/odd[red]/report.html\n"
 

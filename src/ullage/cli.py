@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -28,6 +31,8 @@ Options = Annotated[
     list[str] | None, typer.Option("-o", "--option", help="Change a setting: -o map.step_m=0.2", metavar="KEY=VALUE")
 ]
 MAP_SCORES = ("f1", "precision", "recall", "recall_in_view", "flyable_found", "flyable_false")
+ANYWHERE = ("--debug", "--quiet", "--verbose")
+"""Options of the command itself that may stand behind a verb too."""
 NEWEST = 3
 """Runs that the overview names."""
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for runs", metavar="DIR")]
@@ -83,11 +88,12 @@ def main(words: list[str] | None = None) -> None:
 
     words = sys.argv[1:] if words is None else words
     debug = "--debug" in words
-    sys.argv = [word for word in sys.argv if word != "--debug"]
+    level = logging.WARNING if "--quiet" in words else logging.DEBUG if "--verbose" in words else logging.INFO
+    sys.argv = [word for word in sys.argv if word not in ANYWHERE]
     warned = _quiet_warnings()
     try:
-        with stop_as_ctrl_c():
-            app([word for word in words if word != "--debug"], standalone_mode=True)
+        with stop_as_ctrl_c(), _logged(level):
+            app([word for word in words if word not in ANYWHERE], standalone_mode=True)
     except SystemExit as done:
         if isinstance(getattr(done.__context__, "__cause__", None), KeyboardInterrupt):  # typer took it
             typer.echo("ullage: interrupted", err=True)
@@ -106,6 +112,38 @@ def main(words: list[str] | None = None) -> None:
             raise
         typer.echo(f"ullage: {one_line(str(error)) or 'not enough memory'}", err=True)
         sys.exit(2)
+
+
+class _Terminal(logging.Handler):
+    """Shows log records as lines of the terminal: progress on stdout, warnings on stderr."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Show one record."""
+        from ullage.view.progress import answer
+
+        text = record.getMessage()
+        if record.levelno >= logging.WARNING:
+            typer.echo(f"ullage: {text}", err=True)
+        elif record.levelno < logging.INFO:
+            answer(text, mark=f"{record.relativeCreated / 1000:7.2f} s  ", style="dim")
+        else:
+            answer(text, mark=getattr(record, "mark", ""), style=getattr(record, "style", ""))
+
+
+@contextmanager
+def _logged(level: int) -> Iterator[None]:
+    """Show what the logger `ullage` takes, from this level on."""
+    logger, handler = logging.getLogger("ullage"), _Terminal()
+    before, passes_on = logger.level, logger.propagate
+    logger.addHandler(handler)
+    logger.setLevel(level)
+    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(before)
+        logger.propagate = passes_on
 
 
 def _quiet_warnings() -> dict[str, type[Warning]]:
@@ -138,6 +176,8 @@ def top(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show answers, warnings and errors only.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Show each step, with its time.")] = False,
 ) -> None:
     """Options of the command itself."""
 
@@ -323,7 +363,7 @@ def list_(
     from ullage.experiments.catalog import suggestion
     from ullage.experiments.folder import RUNS
     from ullage.specs import RadarSpec, Rig
-    from ullage.view.progress import log
+    from ullage.view.progress import answer
     from ullage.world.library import WORLDS
 
     match what:
@@ -336,7 +376,7 @@ def list_(
         case "":
             _list_families()
             rigs = f"Radars: {', '.join(RadarSpec.names())}\nRigs: {', '.join(Rig.presets)}"
-            log(f"\nWorlds: {', '.join(WORLDS)}\n{rigs}")
+            answer(f"\nWorlds: {', '.join(WORLDS)}\n{rigs}")
             _list_runs(out or RUNS, most=NEWEST)
         case _:
             tables = ("scenarios", "worlds", "runs")
@@ -346,15 +386,15 @@ def list_(
 def _list_families() -> None:
     """Print each family of scenarios on one line."""
     from ullage.experiments.catalog import families, find_scenario
-    from ullage.view.progress import console, log
+    from ullage.view.progress import answer, console
 
-    log("Scenarios: ullage run NAME")
+    answer("Scenarios: ullage run NAME")
     width = 3 + max(map(len, families()))
     for family, variants in families().items():
         mark = "*" if any(one.by_hand for one in variants) else ""
         line = f" {family + mark:<{width}}{find_scenario(family).title}"
-        log(line if len(line) <= console.width else f"{line[: console.width - 3]}...")
-    log(" --law physical: physical echoes. *: --by-hand too. ullage list scenarios: all")
+        answer(line if len(line) <= console.width else f"{line[: console.width - 3]}...")
+    answer(" --law physical: physical echoes. *: --by-hand too. ullage list scenarios: all")
 
 
 def _list_scenarios() -> None:
@@ -390,7 +430,7 @@ def _list_runs(root: Path, *, most: int | None = None) -> None:
     from rich.table import Table
 
     from ullage.experiments.folder import describe, runs_in
-    from ullage.view.progress import console, log
+    from ullage.view.progress import answer, console
 
     runs = runs_in(root)
     newest = sorted(runs, key=lambda place: (place / "provenance.json").stat().st_mtime, reverse=True)
@@ -402,7 +442,7 @@ def _list_runs(root: Path, *, most: int | None = None) -> None:
         table.add_row(escape(str(place)), describe(place))
     console.print(table)
     if len(shown) < len(runs):
-        log(f"and {len(runs) - len(shown)} more: ullage list runs")
+        answer(f"and {len(runs) - len(shown)} more: ullage list runs")
 
 
 @app.command()
@@ -412,11 +452,11 @@ def show(run: Annotated[str, typer.Argument(help="Run folder, its name, or lates
     from rich.table import Table
 
     from ullage.experiments.folder import describe, find_folder, read_json, state_of
-    from ullage.view.progress import console, log
+    from ullage.view.progress import answer, console
 
     folder = find_folder(run)
     if (state := state_of(folder)) != "complete":
-        log(f": {folder}", mark=describe(folder), style="yellow")
+        answer(f": {folder}", mark=describe(folder), style="yellow")
     table = Table("metric", "value", "unit", box=None, title=escape(str(folder)), title_justify="left")
     lacking = state in {"running", "unfinished"} and not (folder / "metrics.json").exists()
     for name, metric in () if lacking else read_json(folder / "metrics.json").items():
@@ -424,7 +464,7 @@ def show(run: Annotated[str, typer.Argument(help="Run folder, its name, or lates
         table.add_row(name, "unknown" if value is None else f"{value:.4g}", metric["unit"])
     console.print(table)
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")):
-        log(f"  {path.relative_to(folder)}  {path.stat().st_size:,} bytes")
+        answer(f"  {path.relative_to(folder)}  {path.stat().st_size:,} bytes")
 
 
 @app.command()
@@ -436,16 +476,16 @@ def measure(run: Annotated[str, typer.Argument(help="Run folder, its name, or la
     from ullage.errors import InputError
     from ullage.experiments.bounds import verdicts
     from ullage.experiments.folder import FINISHED, describe, find_folder, state_of
-    from ullage.view.progress import log
+    from ullage.view.progress import answer
 
     folder = find_folder(run)
     if state_of(folder) not in FINISHED:
         raise InputError(f"this run is {describe(folder)}", where=folder, allowed="a run that ended")
     rows = verdicts(folder)
     for row in rows:
-        log(f" {row.text}", mark="ok  " if row.inside else "OUT ", style="" if row.inside else "red")
+        answer(f" {row.text}", mark="ok  " if row.inside else "OUT ", style="" if row.inside else "red")
     if not rows:
-        log("this scenario sets no bounds")
+        answer("this scenario sets no bounds")
     if not all(row.inside for row in rows):
         raise typer.Exit(1)
 
@@ -515,17 +555,17 @@ def validate(
     """
     from ullage.experiments.validation.validate import against_recordings
     from ullage.experiments.validation.validate import validate as hold_against
-    from ullage.view.progress import console, log
+    from ullage.view.progress import answer, console
 
     if recordings is not None:
-        rows = against_recordings(recordings, out, report=log)
+        rows = against_recordings(recordings, out, report=answer)
     else:
         with console.status("computing every oracle (about half a minute)"):
             rows = hold_against(out)
     for row in rows:
         text = f" {row.oracle}: {row.ours:.3f} {row.unit}, wanted {row.reference:.3f}"
-        log(text, mark="ok  " if row.passed else "OUT ", style="" if row.passed else "red")
-    log(f"{sum(row.passed for row in rows)} of {len(rows)} within bounds; page in {out}")
+        answer(text, mark="ok  " if row.passed else "OUT ", style="" if row.passed else "red")
+    answer(f"{sum(row.passed for row in rows)} of {len(rows)} within bounds; page in {out}")
     if not all(row.passed for row in rows):
         raise typer.Exit(1)
 
@@ -548,7 +588,7 @@ def reproduce(
     from ullage.experiments.warmup import compile_kernels, compiled
     from ullage.thesis.plan import wanted
     from ullage.thesis.reproduce import reproduce as run_all
-    from ullage.view.progress import console, log, log_report, progress_bar
+    from ullage.view.progress import answer, console, log_report, progress_bar
 
     chosen = wanted(quick, only or [])
     if not compiled():
@@ -570,12 +610,12 @@ def reproduce(
             report_progress=report_progress,
         )
     for line in done.broken:
-        log(f"  {line}", mark="OUT", style="red")
+        answer(f"  {line}", mark="OUT", style="red")
     holding, total = done.counts
-    log(f"{holding} of {total} statements and bounds hold; {len(done.chapters)} of {len(chosen)} experiments")
+    answer(f"{holding} of {total} statements and bounds hold; {len(done.chapters)} of {len(chosen)} experiments")
     log_report(done.report)
     if done.interrupted:
-        log(": run the same command again to go on", mark="interrupted", style="yellow")
+        answer(": run the same command again to go on", mark="interrupted", style="yellow")
         raise typer.Exit(130)
     if done.broken:
         raise typer.Exit(1)
@@ -606,7 +646,7 @@ def sweep(
     """
     from ullage.experiments import sweep as sweeps
     from ullage.experiments.catalog import variant_name
-    from ullage.view.progress import log, progress_bar
+    from ullage.view.progress import answer, log, progress_bar
 
     scenario = variant_name(scenario, law=law, by_hand=by_hand)
     axes = dict(sweeps.axis_of(text) for text in over or [])
@@ -621,7 +661,7 @@ def sweep(
 
         done = sweeps.sweep(points, out=out, where=where, report_progress=report_progress, again=force)
     for name, why in done.failed.items():
-        log(f"  {name}: {why}", mark="FAIL", style="red")
+        answer(f"  {name}: {why}", mark="FAIL", style="red")
     if done.done:
         shown: list[str] = [
             name for name in ("f1", "precision", "recall", "detections") if name in done.done[0].metrics
@@ -654,7 +694,7 @@ def dataset(
     from ullage.experiments import dataset as sets
     from ullage.experiments.warmup import compile_kernels, compiled
     from ullage.radar.warmup import radar_parts
-    from ullage.view.progress import console, log, progress_bar
+    from ullage.view.progress import answer, console, log, progress_bar
 
     if not all(word in ("1", "2", "3") for word in bounces.split(",")):
         raise InputError(f"cannot read {bounces!r}", where="--bounces", allowed="1 to 3, with commas between")
@@ -680,7 +720,7 @@ def dataset(
     failed = [row["failed"] for row in rows if row["failed"]]
     log(f"{len(rows)} samples in {to}, described in {to.with_suffix('.md')}")
     if failed:
-        log(f"{len(failed)} samples are empty; the first: {failed[0]}", mark="FAIL ", style="red")
+        answer(f"{len(failed)} samples are empty; the first: {failed[0]}", mark="FAIL ", style="red")
 
 
 def _tabulate(done: Sweep, metrics: list[str]) -> None:
@@ -707,19 +747,19 @@ def doctor(
     """
     from ullage.errors import InputError
     from ullage.experiments.doctor import checks
-    from ullage.view.progress import log
+    from ullage.view.progress import answer
 
     if bag:
         if not Path(bag).exists():
             raise InputError("no such file or folder", where=bag, allowed="a recording, or its folder")
         if not repair(bag):
-            log(f"{bag}: nothing to repair")
+            answer(f"{bag}: nothing to repair")
         return
     sound = True
     for check in checks():
         sound &= check.sound or check.optional
         style = "green" if check.sound else "yellow" if check.optional else "red"
         mark = {"green": "ok  ", "yellow": "none", "red": "BAD "}[style]
-        log(f" {check.name}: {check.found}", mark=mark, style=style)
+        answer(f" {check.name}: {check.found}", mark=mark, style=style)
     if not sound:
         raise typer.Exit(1)

@@ -5,6 +5,7 @@ Simulated, recorded and live frames come through here alike, piece by piece, so 
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from ullage.processing.scatterers import Scatterer
 
 Chunk = dict[str, Frames]
+LOGGER = logging.getLogger("ullage")
 VIEWER = "viewer:"
 HELD_FRAMES = 2048  # of a sensor, collected for an image
 
@@ -218,6 +220,8 @@ def run(
             with nullcontext(StopFlag()) if hasattr(given, "close") else StopFlag() as stop:
                 for chunk in stream():
                     count.add(chunk)
+                    LOGGER.debug("%d frames of %s, %.2f s so far", sum(map(len, chunk.values())), ", ".join(chunk),
+                                 count.duration_s)  # fmt: skip
                     _give(chunk, sinks)
                     for stage in stages:
                         for item in stage.update(chunk):

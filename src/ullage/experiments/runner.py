@@ -27,7 +27,7 @@ from ullage.experiments.run import Compared, Report, Run
 from ullage.experiments.simulated import Simulated
 from ullage.experiments.verdict import verdict
 from ullage.grids import Grid, Image, OccupancyMap
-from ullage.pipeline import DetectStage, ImageStage, MapStage, Outcome, Sink, Source, Stage, run
+from ullage.pipeline import LOGGER, DetectStage, ImageStage, MapStage, Outcome, Sink, Source, Stage, run
 from ullage.processing.obstacles import ObstacleStage
 from ullage.radar.warmup import Compiling
 from ullage.world.scene import Scene
@@ -45,7 +45,7 @@ def execute(
     sinks: Sequence[Sink] = (),
     progress: Callable[[float], None] | None = None,
     on_lag: Callable[[float, int], None] | None = None,
-    log: Log = print,
+    log: Log = LOGGER.info,
     draw: bool = True,
     under_way: Compiling | None = None,
 ) -> Report:

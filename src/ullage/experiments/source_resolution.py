@@ -19,7 +19,7 @@ from ullage.experiments.catalog import families, find_scenario, scenario_names, 
 from ullage.experiments.draft import begin_run, check_free, place_of
 from ullage.experiments.run import Run, into, of_scenario
 from ullage.experiments.simulated import prepare
-from ullage.pipeline import Sink, check_sink
+from ullage.pipeline import LOGGER, Sink, check_sink
 from ullage.pipeline import sink as open_sink
 from ullage.ports.arrays import refuse_pickle
 from ullage.ports.live import LISTED, Address
@@ -43,7 +43,7 @@ def make_run(
     out: Path | None = None,
     force: bool = False,
     progress: Callable[[float], None] | None = None,
-    log: Callable[[str], None] = print,
+    log: Callable[[str], None] = LOGGER.info,
     to: Sequence[str] = (),
 ) -> Run:
     """Get a run ready: read the scenario and fly it, or open the recording.
@@ -381,7 +381,7 @@ def flight_scenario(target: str, *, tasks: tuple[Task, ...] | None = None, optio
 
 def make_flight(
     scenario: Scenario, *, by: str = "keys", duration_s: float | None = None,
-    out: Path | None = None, log: Callable[[str], None] = print, to: Sequence[str] = (),
+    out: Path | None = None, log: Callable[[str], None] = LOGGER.info, to: Sequence[str] = (),
 ) -> Run:  # fmt: skip
     """Get a flight by hand ready: the vehicle hovers at the scenario's first waypoint and waits for commands.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -45,4 +45,4 @@ def telling() -> Iterator[None]:
 
 @cache
 def _tell() -> None:
-    print("ullage: compiling kernels (once after installation)", file=sys.stderr, flush=True)
+    logging.getLogger("ullage").warning("compiling kernels (once after installation)")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import logging
 import os
 from collections.abc import Callable
 from functools import partial
@@ -79,6 +80,7 @@ def open(target: str | Path, **options: Any) -> Source:
         raise InputError("no such file or folder", where=target, allowed=f"{SOURCES}; or live: {LISTED}")
     with reading(path):
         source = _opened(path, options)
+    logging.getLogger("ullage").debug("%s is read by %s", path, type(source).__name__)
     return source if isinstance(source, WholeSource) else GuardedSource(source, path)
 
 

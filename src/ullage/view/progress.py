@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 import time
@@ -15,6 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 
+LOGGER = logging.getLogger("ullage")
 console = Console(stderr=False, soft_wrap=True)
 PLAIN_EVERY_S = 20.0
 LAG_S = 0.5
@@ -22,7 +24,25 @@ LAG_S = 0.5
 
 
 def log(text: str, *, mark: str = "", style: str = "") -> None:
-    """Log one line verbatim: brackets in a name are not markup.
+    """Log one line of progress, which `--quiet` leaves out; the command line shows it as `answer` does.
+
+    Args:
+        text: the line.
+        mark: prefix of the line.
+        style: of the mark.
+    """
+    if LOGGER.handlers:
+        LOGGER.info(text, extra={"mark": mark, "style": style})
+    else:  # not within the command
+        answer(text, mark=mark, style=style)
+
+
+def _quiet() -> bool:
+    return LOGGER.level > logging.INFO
+
+
+def answer(text: str, *, mark: str = "", style: str = "") -> None:
+    """Print one line that was asked for, verbatim: brackets in a name are not markup.
 
     Args:
         text: the line.
@@ -33,7 +53,9 @@ def log(text: str, *, mark: str = "", style: str = "") -> None:
 
 
 def log_report(page: Path) -> None:
-    """Print the path of a report, as a link in terminals that support it."""
+    """Print the path of a report, as a link in terminals that support it, unless `--quiet` is given."""
+    if _quiet():
+        return
     console.print(Text.assemble("report: ", (str(page), f"link {page.resolve().as_uri()}")))
 
 
@@ -121,6 +143,6 @@ def progress_bar(title: str, *, total: float | None, unit: str = "", rated: bool
         TimeElapsedColumn(),
         *((TextColumn("{task.fields[forecast]}"),) if rated else (TextColumn("left"), TimeRemainingColumn())),
     )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=console, disable=_quiet() or not console.is_terminal) as bar:
         task = bar.add_task(title, total=total, forecast="")
         yield ProgressBar(bar, task, title, total, unit, time.monotonic(), rated)

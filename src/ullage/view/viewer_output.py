@@ -21,7 +21,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 from urllib.parse import urlsplit
 
 from ullage.errors import InputError
-from ullage.view.progress import log
+from ullage.view.progress import answer
 
 WEB = "web"
 WEB_PORT = 9090
@@ -178,7 +178,7 @@ def _serve(rec: Any, output: ViewerOutput) -> str:
     data = f"rerun+http://{near}:{output.port + 1}/proxy"
     _connect(rec, data)
     address = f"http://{near}:{output.port}/?url={data.replace('+', '%2B')}"
-    log(f"viewer: {address}")
+    answer(f"viewer: {address}")
     return address
 
 
@@ -200,7 +200,7 @@ def keep_serving(sinks: Iterable[object]) -> None:
     """Wait for Ctrl-C where a sink serves a page, since the page ends with the process."""
     pages = [sink.address for sink in sinks if isinstance(sink, Page) and sink.address]
     for address in pages:
-        log(f"viewer: {address} is served until Ctrl-C")
+        answer(f"viewer: {address} is served until Ctrl-C")
     if pages:
         with suppress(KeyboardInterrupt):
             Event().wait()

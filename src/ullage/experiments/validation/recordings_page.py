@@ -11,6 +11,7 @@ from ullage.experiments.validation.recordings import BANDS, GAP_M, Comparison, c
 from ullage.experiments.validation.recordings_figure import draw_recorded
 from ullage.experiments.validation.rows import Row
 from ullage.files import write_whole
+from ullage.pipeline import LOGGER
 
 SHARES = {
     "instrument": "stays constant while the radar moves: direct path, ring-down and constant echoes of the place",
@@ -22,7 +23,7 @@ LEVELS = ("recorded", "world", "tails", "isotropic", "receiver")
 
 
 def write_recordings_page(
-    folder: str | Path, out_dir: str | Path, *, report: Callable[[str], None] = print
+    folder: str | Path, out_dir: str | Path, *, report: Callable[[str], None] = LOGGER.info
 ) -> list[Row]:
     """Compare every recording with a simulation of it; write `validation_recordings.md` and its pictures.
 

@@ -15,6 +15,7 @@ from ullage.experiments.validation import oracles
 from ullage.experiments.validation.meshes import curved_meshes, shadow_borders, slivers, turned_worlds
 from ullage.experiments.validation.rows import HERE, Row, db, gain, gain_via, radar
 from ullage.geometry import C0, apply, matrix_quat, quat_matrix, transform
+from ullage.pipeline import LOGGER
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.explain import contributions
 from ullage.radar.multipath import image_lengths
@@ -278,7 +279,9 @@ def validate(out_dir: str | Path, *, pictures: bool = True) -> list[Row]:
     return rows
 
 
-def against_recordings(folder: str | Path, out_dir: str | Path, *, report: Callable[[str], None] = print) -> list[Row]:
+def against_recordings(
+    folder: str | Path, out_dir: str | Path, *, report: Callable[[str], None] = LOGGER.info
+) -> list[Row]:
     """Compare real recordings with simulations of them; see `recordings_page.write_recordings_page`.
 
     Raises:
