@@ -3,7 +3,7 @@
     python benchmarks/bench_live.py [--seconds 30] [--world ntnu-mapping] [--slow 0] [--fidelity physical]
 
 `--slow S` makes one stage sleep S seconds for each second of frames, as a map on a slower machine would. Run it with
-`taskset -c 0,1` for the two cores of the table in docs/limits.md.
+`taskset -c 0,1` for the two cores.
 """
 
 from __future__ import annotations
@@ -97,7 +97,8 @@ def main() -> None:
     start = tuple(WORLDS[given.world].start)
     options = FlyOptions(duration_s=given.seconds, fidelity=given.fidelity, lag=given.lag)
     grid = ul.Grid.covering(scene.bounds, 0.1)
-    stages = [DetectStage(), ObstacleStage(), MapStage(grid, live=True, every_s=0.2), ImageStage(grid, every_s=0.2)]
+    image = ImageStage(grid, "summation" if given.fidelity == "thesis" else "backprojection", every_s=0.2)
+    stages = [DetectStage(), ObstacleStage(), MapStage(grid, live=True, every_s=0.2), image]
     stages = [ObstacleStage()] if given.bare else stages
     stages += [Slow(given.slow)] if given.slow else []
     with tempfile.TemporaryDirectory() as folder:
