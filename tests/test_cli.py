@@ -99,6 +99,22 @@ def test_a_world_file_alone_is_flown_by_default(name: str, tmp_path: Path, capsy
     assert (again.returncode, "this run exists" in again.stderr) == (2, True)  # the file holds the whole run
 
 
+def test_arguments_of_xacro_are_part_of_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ULLAGE_TRUST_XACRO", "0")  # which the option sets, and which is put back after the test
+    body = '<xacro:arg name="h" default="3"/><link name="l"><collision><geometry><box size="6 4 $(arg h)"/>'
+    head = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    (tmp_path / "room.xacro").write_text(f"{head}{body}</geometry></collision></link></robot>")
+    words = ("--trust-xacro", "--xacro", "h:=4", *QUICK, "-o", "flight.waypoints=[[-1, 0, 0], [1, 0, 0]]")
+    told = Told(("run", "room.xacro", *words), tmp_path, capsys)
+    assert told.returncode == 0, told.stderr
+    kept = yaml.safe_load((tmp_path / "runs" / "latest" / "scenario.yaml").read_text())
+    assert (kept["name"], kept["world"]["file"]) == ("room", "room.xacro?h:=4")
+    again = Told(("run", "runs/latest/scenario.yaml", "--xacro", "h:=5"), tmp_path, capsys)
+    assert (again.returncode, "world.file: robot.xacro?NAME:=VALUE" in again.stderr) == (2, True)
+
+
 def write_world(path: Path) -> None:
     """A room of 6 x 4 x 3 m about the origin, in the format of the file's name."""
     if path.suffix == ".sdf":

@@ -49,6 +49,9 @@ def _trust(wanted: bool) -> None:
 
 
 Trust = Annotated[bool, typer.Option("--trust-xacro", callback=_trust, help="Expand .xacro, which may run code.")]
+Xacro = Annotated[
+    list[str] | None, typer.Option("--xacro", help="An argument of a .xacro world", metavar="NAME:=VALUE")
+]
 Jobs = Annotated[
     int | None,
     typer.Option("--jobs", min=1, help="How many at a time; default: the cores, or 1 without ullage[scale]."),
@@ -56,6 +59,22 @@ Jobs = Annotated[
 Scheduler = Annotated[
     str | None, typer.Option("--scheduler", help="A Dask cluster that stands already.", metavar="tcp://HOST:PORT")
 ]
+
+
+def with_arguments(source: str, given: list[str]) -> str:
+    """Add arguments of xacro to a source: `robot.xacro?name:=value`.
+
+    Raises:
+        InputError: the source is no .xacro file.
+    """
+    from ullage.config import split_source
+    from ullage.errors import InputError
+
+    file, before = split_source(source)
+    if given and not file.lower().endswith(".xacro"):
+        allowed = "a .xacro file; in a scenario, world.file: robot.xacro?NAME:=VALUE"
+        raise InputError(f"--xacro with {source!r}", where="--xacro", allowed=allowed)
+    return f"{file}?{'&'.join([*filter(None, [before[1:]]), *given])}" if given else source
 
 
 def local_workers(jobs: int | None) -> int | None:
@@ -202,11 +221,13 @@ def run(
     force: Annotated[bool, typer.Option("--force", help="Run again where the run exists.")] = False,
     open_report: Annotated[bool, typer.Option("--open", help="Open the report in a browser.")] = False,
     trust_xacro: Trust = False,
+    xacro: Xacro = None,
 ) -> None:
     """Simulate, record, replay or convert.
 
     Take frames from SOURCE and make maps, images and detections of them.
     """
+    source = with_arguments(source, xacro or [])
     repair(source)
     from ullage.experiments.catalog import variant_name
     from ullage.experiments.comparison import fly_again, rival_scenario
@@ -252,11 +273,14 @@ def fly(
     law: LawOption = None,
     duration_s: Annotated[float | None, typer.Option("--duration-s", min=0.1, help="End after so long.")] = None,
     out: Out = None,
+    trust_xacro: Trust = False,
+    xacro: Xacro = None,
 ) -> None:
     """Fly by hand while the map grows.
 
     The radars of a simulated multirotor measure on the way. Ctrl-C ends the flight.
     """
+    target = with_arguments(target, xacro or [])
     from ullage.experiments.catalog import variant_name
     from ullage.experiments.runner import execute
     from ullage.experiments.source_resolution import flight_scenario, make_flight, record, tasks_of

@@ -40,14 +40,25 @@ Fidelity = Annotated[str, _one_of("ullage.echo_models", FIDELITIES)]
 MapMethod = Annotated[str, _one_of("ullage.map_methods", MAP_METHODS)]
 
 
+def split_source(source: str | Path) -> tuple[str, str]:
+    """Split the source of a world, `robot.xacro?name:=value`, into its file and `?name:=value`, xacro's arguments."""
+    file, mark, arguments = str(source).partition("?")
+    return (file, mark + arguments) if file.lower().endswith(".xacro") else (str(source), "")
+
+
 class WorldSpec(Spec):
     """Which world: a library name or a file."""
 
     name: str = Field("", description="a library world, as `ullage list` names them")
-    file: str = Field("", description="or a world file: .sdf .world .urdf .xacro .glb .obj .stl .ply .dae")
+    file: str = Field(
+        "", description="or a world file: .sdf .world .urdf .xacro(?name:=value) .glb .obj .stl .ply .dae"
+    )
     geometry: Literal["collision", "visual"] = "collision"
     search_path: tuple[str, ...] = Field((), description="folders for model:// and relative URIs")
     missing: Literal["refuse", "skip"] = Field("refuse", description="refuse or skip a model or mesh that is not there")
+    origin_m: tuple[float, float, float] | None = Field(
+        None, description="point of the file that becomes the origin [m]; none: its own, or near a far scene's centre"
+    )
 
 
 class GuardSpec(Spec):
@@ -131,7 +142,7 @@ class SensingSpec(Spec):
     @property
     def is_declared(self) -> bool:
         """Whether the radars are those that a world or file declares."""
-        return self.rig == "declared" or Path(self.rig).suffix.lower() in RIG_FILES
+        return self.rig == "declared" or Path(split_source(self.rig)[0]).suffix.lower() in RIG_FILES
 
     def changed(self, rig: Rig) -> Rig:
         """A declared rig with the changes of these settings on every radar.

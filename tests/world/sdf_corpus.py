@@ -97,17 +97,33 @@ ALL_SHAPES = (
     + "</link></model></world></sdf>"
 )
 
-CORPUS = {"frames": FRAMES, "nested": NESTED, "includes": INCLUDES, "old": OLD, "shapes": ALL_SHAPES}
+TWICE = f"""<sdf version="1.9"><world name="w">
+  <model name="drone"><pose>1 2 3 0 0 0.4</pose>
+    <include merge="true"><uri>model://carrier</uri><pose>0 0 1 0 0.1 0</pose></include>
+    <link name="late"><pose relative_to="part">1 0 0 0 0 0</pose>{shape("c")}</link>
+    <link name="later"><pose relative_to="inner::l">1 0 0 0 0 0</pose>{shape("c")}</link>
+    <frame name="on" attached_to="tip"><pose>0 1 0 0 0 0</pose></frame>
+    <link name="last"><pose relative_to="on">0 0 1 0 0 0</pose>{shape("c")}</link>
+  </model>
+</world></sdf>"""
+
+CARRIER = f"""<sdf version="1.9"><model name="carrier">
+  <include merge="true"><uri>model://thing</uri><pose>0 1 0 0 0 1</pose></include>
+  <model name="inner"><pose relative_to="tip">2 0 0 0 0 0</pose><link name="l">{shape("c")}</link></model>
+</model></sdf>"""
+
+CORPUS = {"frames": FRAMES, "nested": NESTED, "includes": INCLUDES, "twice": TWICE, "old": OLD, "shapes": ALL_SHAPES}
 
 
 def write_corpus(folder, name):
     """The file of one world, with the models that it includes beside it; and the folder of those."""
     models = folder / "models"
     (models / "thing").mkdir(parents=True, exist_ok=True)
-    (models / "thing" / "model.sdf").write_text(THING)
-    (models / "thing" / "model.config").write_text(
-        '<model><name>thing</name><sdf version="1.9">model.sdf</sdf></model>'
-    )
+    for model, text in (("thing", THING), ("carrier", CARRIER)):
+        (models / model).mkdir(exist_ok=True)
+        (models / model / "model.sdf").write_text(text)
+        config = f'<model><name>{model}</name><sdf version="1.9">model.sdf</sdf></model>'
+        (models / model / "model.config").write_text(config)
     (models / "thing" / "meshes").mkdir(exist_ok=True)
     trimesh.creation.box((1, 2, 3)).export(models / "thing" / "meshes" / "b.stl")
     path = folder / f"{name}.sdf"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageWarning
 
 WORLD = """<?xml version="1.0"?>
 <sdf version="1.9" xmlns:ullage="urn:ullage:sdf">
@@ -124,6 +124,44 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
     path = path.rename(tmp_path / "huge.stl")
     with pytest.raises(InputError, match=r"huge\.stl: 1024 MiB of mesh"):
         ul.load_scene(path)
+
+
+FAR = MODEL.replace("<link", "<pose>569000.25 7034000.75 40 0 0 0</pose><link")
+
+
+def test_a_world_far_away_gets_an_origin_and_says_which(write):
+    path = write(f"<sdf version='1.9'>{FAR}</sdf>")
+    with pytest.warns(UllageWarning, match=r"origin_m = \[569000, 7034000, 0\]"):
+        found = ul.load_scene(path)
+    np.testing.assert_allclose(found.bounds.mean(0), [0.25, 0.75, 40], atol=1e-8)
+    np.testing.assert_allclose(found.models["m"][:3, 3], [0.25, 0.75, 40], atol=1e-8)
+
+
+@pytest.mark.parametrize("origin", [(0, 0, 0), (1, -2.5, 3), (569000.25, 7034000.75, 40)])
+def test_an_origin_shifts_every_kind_of_world_and_nothing_else(write, origin):
+    """Positions less the origin: of models, meshes and joints; shapes stay bit-equal in size."""
+    near = write(f"<sdf version='1.9'>{FAR.replace('569000.25 7034000.75 40', ' '.join(map(str, origin)))}</sdf>")
+    triangle = "".join(f"v {x + origin[0]} {y + origin[1]} {origin[2]}\n" for x, y in ((0, 0), (1, 0), (0, 1)))
+    for path, low in ((near, (-0.5, -1, -1.5)), (write(triangle + "f 1 2 3\n", "m.obj"), (0, 0, 0))):
+        np.testing.assert_allclose(ul.load_scene(path, origin_m=origin).bounds[0], low, atol=1e-8)
+
+
+def test_an_origin_that_is_none_or_leaves_the_world_out_of_reach(write):
+    path = write(f"<sdf version='1.9'>{FAR}</sdf>")
+    with pytest.raises(InputError, match=r"w\.sdf: the world reaches 7\.03e\+06 m from its origin"):
+        ul.load_scene(path, origin_m=(0, 0, 0))
+    for origin in ((1, 2), (0, 0, float("nan")), "here"):
+        with pytest.raises(InputError, match="origin_m is "):
+            ul.load_scene(path, origin_m=origin)
+    both = write(f"<sdf version='1.9'><world name='w'>{FAR}{MODEL.replace(chr(39) + 'm', chr(39) + 'n')}</world></sdf>")
+    with pytest.warns(UllageWarning), pytest.raises(InputError, match="from its origin"):
+        ul.load_scene(both)
+
+
+@pytest.mark.parametrize("name", ["concrete", "Concrete", "itu_concrete", "ITU_CONCRETE", " itu-concrete "])
+def test_materials_go_by_other_ways_of_writing_them(write, name):
+    scene = ul.load_scene(write(WORLD.replace(">concrete<", f">{name}<")))
+    assert scene.objects[0].material.name == "concrete"
 
 
 def test_what_is_not_there_or_of_no_known_kind_is_refused(tmp_path, write):

@@ -158,3 +158,25 @@ def test_a_gltf_that_reaches_for_other_folders_is_refused(tmp_path, two_parts):
     path.write_text(text.replace(f'"{name}"', f'"../{name}"'))
     with pytest.raises(InputError, match="reaches out of its folder"):
         load_mesh(path)
+
+
+@pytest.mark.parametrize("header", [b"any".ljust(80), b"solid any".ljust(80)])
+def test_bytes_after_the_last_facet_of_an_stl_are_left_out_with_a_warning(tmp_path, header):
+    whole = header + trimesh.creation.box((1, 2, 3)).export(file_type="stl")[80:]
+    path = tmp_path / "b.stl"
+    path.write_bytes(whole)
+    want = load_mesh(path)
+    path.write_bytes(whole + b"attributes")
+    with pytest.warns(UllageWarning, match=r"b\.stl: 10 bytes after the last facet are left out"):
+        found = load_mesh(path)
+    np.testing.assert_array_equal(found[0], want[0])
+    np.testing.assert_array_equal(found[1], want[1])
+
+
+@pytest.mark.parametrize("header", [b"any".ljust(80), b"solid any".ljust(80)])
+@pytest.mark.parametrize("cut", [1, 25, 50, 590])
+def test_a_binary_stl_that_is_cut_is_refused(tmp_path, header, cut):
+    path = tmp_path / "b.stl"
+    path.write_bytes((header + trimesh.creation.box((1, 2, 3)).export(file_type="stl")[80:])[:-cut])
+    with pytest.raises(InputError, match=r"b\.stl: the mesh"):
+        load_mesh(path)

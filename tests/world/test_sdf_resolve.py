@@ -172,6 +172,78 @@ def test_a_model_config_that_is_wrong_is_refused(tmp_path):
         ul.load_scene(path, search_path=[tmp_path / "m"])
 
 
+def test_links_of_models_merged_twice_are_the_outer_models(tmp_path):
+    """Names, poses and radars of a link do not depend on how often its model is merged."""
+    radar = '<sensor name="r" type="custom" gz:type="ullage_radar" xmlns:gz="http://gazebosim.org/schema"/>'
+    link = f'<link name="base"><pose>1 0 0 0 0 0</pose>{BOX}{radar}</link>'
+    put(tmp_path / "a" / "model.sdf", f'<sdf version="1.9"><model name="a">{link}</model></sdf>')
+    for outer, inner in (("b", "a"), ("c", "b")):
+        merged = include(f"model://{inner}").replace("<include>", '<include merge="true">')
+        put(tmp_path / outer / "model.sdf", f'<sdf version="1.9"><model name="{outer}">{merged}</model></sdf>')
+    more = '<link name="s"><pose relative_to="base">2 0 0 0 0 0</pose>' + BOX + "</link></model>"
+    path = put(tmp_path / "c" / "model.sdf", (tmp_path / "c" / "model.sdf").read_text().replace("</model>", more))
+    scene = ul.load_scene(path, search_path=[tmp_path])
+    assert sorted(one.name for one in scene.objects) == ["c::base", "c::s"]
+    centres = {one.name: scene.corners()[scene.face_object == k].mean((0, 1)) for k, one in enumerate(scene.objects)}
+    np.testing.assert_allclose(centres["c::s"], [3, 0, 0], atol=0.2)
+    assert scene.rigs["c"].sensors["r"].mount.position_m == (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "uri", ["model://ground_plane", "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Ground Plane"]
+)
+def test_sun_and_ground_plane_come_with_ullage(tmp_path, uri, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    scene = ul.load_scene(world(tmp_path, include("model://sun") + include(uri)))
+    assert [one.name for one in scene.objects] == ["ground_plane"]
+    np.testing.assert_allclose(scene.bounds, [[-50, -50, 0], [50, 50, 0]])
+
+
+def test_a_ground_plane_on_the_search_path_goes_first(tmp_path):
+    put(tmp_path / "models" / "ground_plane" / "model.sdf", MODEL)
+    scene = ul.load_scene(world(tmp_path, include("model://ground_plane")), search_path=[tmp_path / "models"])
+    assert [one.name for one in scene.objects] == ["thing"]
+
+
+ROBOT = '<robot name="{}"><link name="l"><collision><geometry><box size="1 1 1"/></geometry></collision></link></robot>'
+
+
+@pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("m.sdf", MODEL),
+        ("m.world", '<sdf version="1.9"><world name="thing"><include><uri>inner.sdf</uri></include></world></sdf>'),
+        ("m.sdf", '<sdf version="1.9"><include><uri>inner.sdf</uri></include></sdf>'),
+        ("m.urdf", ROBOT.format("thing")),
+        ("m.obj", "o x\n" + trimesh.creation.box((1, 1, 1)).export(file_type="obj")),
+    ],
+)
+def test_an_include_takes_what_a_root_file_may_be(tmp_path, name, text):
+    """An included file gives what the file itself gives, at the pose of the include."""
+    put(tmp_path / "worlds" / "inner.sdf", MODEL)
+    alone = ul.load_scene(put(tmp_path / "worlds" / name, text))
+    more = "<name>n</name><pose>5 0 0 0 0 0</pose>"
+    scene = ul.load_scene(world(tmp_path, include(name, more)))
+    assert [one.name.split("::")[0] for one in scene.objects] == ["n"]
+    np.testing.assert_allclose(scene.bounds - alone.bounds, [[5, 0, 0]] * 2, atol=1e-9)
+    assert len(scene.faces) == len(alone.faces) == 12
+
+
+def test_an_included_xacro_runs_only_if_it_is_trusted(tmp_path):
+    path = world(tmp_path, include("m.xacro"))
+    put(tmp_path / "worlds" / "m.xacro", ROBOT.format("thing"))
+    with pytest.raises(InputError, match=r"m\.xacro: xacro evaluates Python"):
+        ul.load_scene(path)
+    assert len(ul.load_scene(path, trust_xacro=True).faces) == 12
+
+
+def test_a_population_is_named_in_a_notice(tmp_path):
+    inside = '<population name="cans"><model_count>9</model_count></population><light name="l" type="point"/>'
+    with pytest.warns(UllageWarning, match=r"w\.sdf:1: <population> 'cans' is passed by"):
+        ul.load_scene(world(tmp_path, inside))
+
+
 def test_names_of_included_models_and_a_material_on_the_include(tmp_path, models):
     more = '<name>b</name><ullage:material xmlns:ullage="urn:ullage:sdf">wood</ullage:material>'
     scene = ul.load_scene(world(tmp_path, include("model://thing") + include("thing", more)), search_path=[models])

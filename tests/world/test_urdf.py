@@ -6,7 +6,7 @@ import trimesh
 
 import ullage as ul
 from ullage.errors import InputError, UllageWarning
-from ullage.world.urdf import load_urdf
+from ullage.world.sdf import load_sdf
 
 ARM = """<robot name="arm" xmlns:ullage="urn:ullage:sdf">
   <link name="base"><collision><geometry><box size="1 1 0.2"/></geometry></collision></link>
@@ -56,11 +56,11 @@ def test_links_stand_where_the_joints_put_them(write):
 
 
 def test_joint_values_move_the_links(write):
-    scene = load_urdf(write(ARM), joints={"shoulder": -np.pi / 2, "slide": 0.5})
+    scene = load_sdf(write(ARM), joints={"shoulder": -np.pi / 2, "slide": 0.5})
     np.testing.assert_allclose(bounds_of(scene, "arm::upper"), [[-0.05, -0.05, 1], [0.05, 0.05, 3]], atol=1e-9)
     np.testing.assert_allclose(scene.wires.start[0] + scene.wires.end[0], [0, 0, 2 * 3.5], atol=1e-9)
     with pytest.raises(InputError, match=r"no joint 'elbow' \(allowed: shoulder, slide\)"):
-        load_urdf(write(ARM), joints={"elbow": 1.0})
+        load_sdf(write(ARM), joints={"elbow": 1.0})
 
 
 def test_visual_geometry_by_option(write):

@@ -36,6 +36,41 @@ def test_the_environment_variable_of_the_command_trusts(tmp_path: Path, monkeypa
     assert len(ul.load_scene(robot(tmp_path, "l")).faces) == 12
 
 
+SIZED = '<xacro:arg name="h" default="1"/><xacro:arg name="w" default="1"/>'
+
+
+def test_arguments_follow_the_name_of_the_file(tmp_path: Path) -> None:
+    path = robot(tmp_path, "l", before=SIZED, height="$(arg h)")
+    for text, top in (("", 0.5), ("?h:=6", 3), ("?h:=6&w:=a:=b?c/../d", 3), ("?h:=4", 2)):
+        assert ul.load_scene(f"{path}{text}", trust_xacro=True).bounds[1, 2] == top
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("?height:=6", r"no argument 'height'; it has h, w \(allowed: --xacro NAME:=VALUE"),
+        ("?h=6", r"argument of xacro 'h=6' \(allowed: NAME:=VALUE"),
+        ("?h:=6&h:=7", r"'h:=7' comes twice"),
+        ("?h:=6&", r"argument of xacro ''"),
+        ("?../h:=6", r"argument of xacro '\.\./h:=6'"),
+        ("?h:=$(env HOME)", r"<size> is '1 1 \$\(env HOME\)'"),  # a value is text, not expanded again
+    ],
+)
+def test_arguments_that_are_wrong(text: str, words: str, tmp_path: Path) -> None:
+    path = robot(tmp_path, "l", before=SIZED, height="$(arg h)")
+    with pytest.raises(ul.InputError, match=words):
+        ul.load_scene(f"{path}{text}", trust_xacro=True)
+    with pytest.raises(ul.InputError, match="xacro evaluates Python"):
+        ul.load_scene(f"{path}?h:=6")
+
+
+def test_an_argument_without_a_value_is_named(tmp_path: Path) -> None:
+    path = robot(tmp_path, "l", before='<xacro:arg name="w" default="1"/>', height="$(arg h)")
+    with pytest.raises(ul.InputError, match=r"argument h.*--xacro NAME:=VALUE"):
+        ul.load_scene(path, trust_xacro=True)
+    assert ul.load_scene(f"{path}?h:=6", trust_xacro=True).bounds[1, 2] == 3
+
+
 @pytest.mark.parametrize(
     ("name", "before", "words"),
     [

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from ullage.config import Scenario, is_set_by, read_scenario
+from ullage.config import Scenario, is_set_by, read_scenario, split_source
 from ullage.errors import InputError, shown
 from ullage.world.sdf_resolve import SEARCH_VARIABLES, search_folders
 
@@ -119,8 +119,9 @@ def _with_files(scenario: Scenario, file: Path, options: Sequence[str]) -> Scena
     table = antenna.get("file") if isinstance(antenna, dict) else None
     out = scenario
     if world.file or folders:
-        place = _found(world.file, "world.file", file, options, near=folders) if world.file else ""
-        out = out.but(world=world.but(file=place, search_path=folders))
+        name, arguments = split_source(world.file)
+        place = _found(name, "world.file", file, options, near=folders) if name else ""
+        out = out.but(world=world.but(file=place + arguments, search_path=folders))
     if isinstance(antenna, dict) and isinstance(table, str):
         where = _found(table, "sensing.changes.antenna.file", file, options)
         changes: dict[str, Any] = {**scenario.sensing.changes, "antenna": {**antenna, "file": where}}

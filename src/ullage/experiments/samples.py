@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import ullage
 from ullage.arrays import Floats, Singles
+from ullage.config import split_source
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.flight.navigation import navigate
@@ -74,11 +75,13 @@ class SampleSpec:
         for word in words:
             if word not in GROUPS:
                 random(word, 0)  # refuses an unknown kind, with the nearest match
-            kinds += GROUPS.get(word, (word if word in KINDS else str(Path(word).resolve()),))
+            file, arguments = split_source(word)
+            kinds += GROUPS.get(word, (word if word in KINDS else f"{Path(file).resolve()}{arguments}",))
         if not kinds:
             raise InputError("no kind of world", where="dataset", allowed=", ".join((*GROUPS, *KINDS)))
         kinds = list(dict.fromkeys(kinds))
-        digests = ["" if kind in KINDS else hashlib.sha256(Path(kind).read_bytes()).hexdigest()[:16] for kind in kinds]
+        read = {kind: Path(split_source(kind)[0]).read_bytes() for kind in kinds if kind not in KINDS}
+        digests = [hashlib.sha256(read[kind]).hexdigest()[:16] if kind in read else "" for kind in kinds]
         return cls(tuple(kinds), seed, frames, tuple(bounces), tuple(digests))
 
     def kind_of(self, k: int) -> str:

@@ -116,10 +116,11 @@ def load_world(spec: WorldSpec) -> Scene:
     if bool(spec.name) == bool(spec.file):
         raise InputError("a scenario wants either world.name or world.file", where="world", allowed=", ".join(WORLDS))
     if spec.file:
-        return load_scene(spec.file, geometry=spec.geometry, search_path=spec.search_path, missing=spec.missing)
+        how = {"search_path": spec.search_path, "missing": spec.missing}
+        return load_scene(spec.file, geometry=spec.geometry, origin_m=spec.origin_m, **how)
     if spec.name not in WORLDS:
         raise InputError(f"no world {spec.name!r}", where="world.name", allowed=", ".join(WORLDS))
-    return load_scene(WORLDS[spec.name].path, geometry=spec.geometry)
+    return load_scene(WORLDS[spec.name].path, geometry=spec.geometry, origin_m=spec.origin_m)
 
 
 def fly_scenario(scenario: Scenario, scene: Scene, *, rate_hz: float, progress: Progress | None = None) -> Trajectory:

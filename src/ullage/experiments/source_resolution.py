@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 import numpy as np
 
 from ullage.arrays import Floats
-from ullage.config import Scenario, Task, is_set_by, make_scenario, run_name
+from ullage.config import Scenario, Task, is_set_by, make_scenario, run_name, split_source
 from ullage.data import Frames, Trajectory, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
@@ -113,7 +113,8 @@ def is_world(target: str) -> bool:
     from ullage.world.library import WORLDS
     from ullage.world.load import KINDS
 
-    return (target in WORLDS and target not in scenario_names()) or Path(target).suffix.lower() in KINDS
+    shipped = target in WORLDS and target not in scenario_names()
+    return shipped or Path(split_source(target)[0]).suffix.lower() in KINDS
 
 
 def simulated_scenario(
@@ -129,7 +130,7 @@ def simulated_scenario(
     Raises:
         InputError: an option is wrong, or the YAML file cannot be used.
     """
-    path = Path(target)
+    path = Path(split_source(target)[0])
     if is_world(target):
         name = run_name(path.parent.name if path.stem == "model" else path.stem)
         world = {"file": target} if path.suffix else {"name": target}
@@ -364,7 +365,7 @@ def flight_scenario(target: str, *, tasks: tuple[Task, ...] | None = None, optio
     """
     from ullage.world.library import WORLDS
 
-    path = Path(target)
+    path = Path(split_source(target)[0])
     name = _of_now("fly-" + run_name(path.stem)[:30])
     title = f"By hand in {path.stem}"
     if target in scenario_names() or path.suffix in {".yaml", ".yml"}:

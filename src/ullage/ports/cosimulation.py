@@ -404,7 +404,7 @@ def world_of(name: str, *, where: str) -> Scene:
         return WORLDS[name].scene()
     if not Path(name).suffix:
         raise InputError(f"no world {name!r}", where=where, allowed=f"a world file, or {', '.join(WORLDS)}")
-    return load_scene(name)
+    return load_scene(name, origin_m=(0.0, 0.0, 0.0))  # the peer's poses count from the file's own origin
 
 
 def rig_of(name: str, scene: Scene, model: str, *, where: str) -> Rig:

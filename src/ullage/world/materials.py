@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Literal
 
 from pydantic import Field
@@ -129,11 +130,12 @@ def _water(frequency_hz: float, celsius: float = 20.0) -> complex:
 
 
 def material(name: str) -> Material:
-    """Return a material by name.
+    """Return a material by name; `Concrete`, `itu_concrete` and `ceiling_board` are names too.
 
     Raises:
         InputError: the name is unknown.
     """
-    if name not in MATERIALS:
+    key = re.sub(r"[\s_-]+", "-", name.strip().lower()).removeprefix("itu-")
+    if key not in MATERIALS:
         raise InputError(f"no material {name!r}", where="material", allowed=", ".join(MATERIALS))
-    return MATERIALS[name]
+    return MATERIALS[key]

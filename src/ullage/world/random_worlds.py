@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ullage.arrays import Floats
+from ullage.config import split_source
 from ullage.errors import InputError
 from ullage.world import shapes
 from ullage.world.materials import material
@@ -99,7 +100,7 @@ def plan(kind: str, seed: int) -> Plan:
     Raises:
         InputError: the kind is unknown, the file cannot be read, or the seed is not a whole number of 0 or more.
     """
-    path = Path(kind)
+    path = Path(split_source(kind)[0])
     if path.suffix and path.exists():
         return _planned(kind, seed, path.stat().st_mtime_ns)
     return _planned(kind, seed, 0)

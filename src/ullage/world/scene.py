@@ -326,6 +326,12 @@ class Scene(Displayed):
         models = {key: turn @ pose if not name or key == name else pose for key, pose in self.models.items()}
         return replace(out, models=models)
 
+    def about(self, origin_m: Floats) -> Scene:
+        """Return the scene with one of its points (3) as the origin [m]."""
+        pose = transform(-origin_m)
+        out = self._through(pose, np.ones(len(self.objects), bool))
+        return replace(out, models={key: pose @ model for key, model in self.models.items()})
+
     def _through(self, pose: Floats, mine: Bools) -> Scene:
         """Objects `mine` (o) taken through a rigid transform (4, 4), at rest or moving; corners shared are doubled."""
         still = mine & self._still()

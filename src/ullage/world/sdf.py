@@ -1,4 +1,4 @@
-"""An SDF world or model as a Scene.
+"""A world or model of SDF, URDF or xacro as a Scene.
 
 One object stands for the shapes of one link that share a material: it is called `model`, or `model::link` where a model
 has several links (`outer::inner` for nested models), and `model::link::shape` where a link is of several materials.
@@ -7,7 +7,7 @@ Materials: see sdf_material. Poses are those of the file: joints stand as they w
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -40,21 +40,25 @@ def load_sdf(
     geometry: Geometry = "collision",
     search_path: Sequence[str | Path] = (),
     missing: Missing = "refuse",
+    joints: Mapping[str, float] | None = None,
+    xacro: Mapping[str, str] | None = None,
 ) -> Scene:
-    """Read the scene of an SDF file.
+    """Read the scene of an SDF, URDF or xacro file.
 
     Args:
         path: the file.
         geometry: which shapes to take.
-        search_path: folders for model:// and relative names.
+        search_path: folders for model://, package:// and relative names, and for xacro's $(find).
         missing: refuse the file if one that it names is missing, or skip the model or shape with a warning.
+        joints: values of a URDF's joints [rad or m]; those not named are at zero.
+        xacro: arguments of a xacro file, which may evaluate Python code; None: such files are refused.
 
     Raises:
-        InputError: an element of it, or of an included file, is not valid.
+        InputError: an element of it, or of an included file, is not valid; or it is xacro and not trusted.
     """
     resolver = Resolver(path, search_path, missing=missing)
     with one_notice_per_kind():
-        return scene_of(TreeReader(resolver).read(path), resolver, geometry=geometry)
+        return scene_of(TreeReader(resolver, joints=joints, xacro=xacro).read(path), resolver, geometry=geometry)
 
 
 def scene_of(world: Scope, resolver: Resolver, *, geometry: Geometry) -> Scene:
@@ -65,7 +69,8 @@ def scene_of(world: Scope, resolver: Resolver, *, geometry: Geometry) -> Scene:
     if walk.unseen and geometry == "collision":
         names = ", ".join(walk.unseen[:5]) + ", ..." * (len(walk.unseen) > 5)
         world.node.place.warn(f"only visuals, so not seen: {names} (geometry='visual' reads them)")
-    models = {name: inner.world_from_scope() for name, inner in frames.inner.items() if not inner.scope.merged}
+    inner = {name: one for part in frames.parts() for name, one in part.inner.items() if not one.scope.merged}
+    models = {name: one.world_from_scope() for name, one in inner.items()}
     rigs = rigs_of(frames)
     rays = {} if rigs else ray_rigs_of(frames)
     return replace(walk.builder.scene(world.name), rigs=rigs, ray_rigs=rays, models=models)
@@ -84,9 +89,10 @@ class SceneWalk:
         """Add the shapes of a scope and of the models in it; names begin with `outer`, `tag` is the material around."""
         scope = frames.scope
         here = frames.world_from_scope()
-        several = scope.merged or len(list(_links(scope))) > 1
+        several = scope.merged or sum(len(part.scope.links) for part in frames.parts()) > 1
         for link in scope.links:
-            self._add_link(frames, here, link, f"{outer}::{link.name}" if several else outer, tag)
+            name = f"{outer}::{link.name}".removeprefix("::") if several else outer
+            self._add_link(frames, here, link, name, tag)
         for inner in frames.inner.values():
             model = inner.scope
             name = outer if model.merged else f"{outer}::{model.name}" if outer else model.name
@@ -129,10 +135,3 @@ class SceneWalk:
         for link in actor.links:
             name = actor.name if len(actor.links) == 1 else f"{actor.name}::{link.name}"
             self._add_link(frames, here, link, name, nearest_tag(actor.node) or tag, motion=motion)
-
-
-def _links(scope: Scope) -> Iterator[Link]:
-    yield from scope.links
-    for model in scope.models:
-        if model.merged:
-            yield from _links(model)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ullage.arrays import Floats
@@ -31,7 +33,7 @@ class ScopeFrames:
         self._home: dict[str, ScopeFrames] = {}
         for inner in self.inner.values():
             if inner.scope.merged:
-                self._home |= {name: inner for name in inner.names if name not in self.names}
+                self._home |= {name: inner for name in (*inner.names, *inner._home) if name not in self.names}
         self._solved: dict[str, Floats] = {scope.own_frame: np.eye(4), "": np.eye(4)}
         self._attached: set[str] = set()
         for frame in scope.frames:
@@ -45,6 +47,13 @@ class ScopeFrames:
                 number += 1
             thing.name = f"{thing.name}_{number}"
         self.names[thing.name] = thing
+
+    def parts(self) -> Iterator[ScopeFrames]:
+        """This scope, and those that are merged into it."""
+        yield self
+        for inner in self.inner.values():
+            if inner.scope.merged:
+                yield from inner.parts()
 
     def world_from_scope(self) -> Floats:
         """The transform (4, 4) from this scope to the outermost one."""
@@ -91,18 +100,15 @@ class ScopeFrames:
         return thing.pose.relative_to or usual, matrix, place
 
     def _outside(self, name: str, at: Place) -> tuple[str, Floats, Place]:
-        if name in self._home:
-            inner = self._home[name]
-            return inner.scope.name, inner.scope_from(name, at=at), at
         model, _, rest = name.partition("::")
-        while rest:  # up to SDF 1.7 a model's own name may hold the ::
+        while model not in self._home and rest:  # up to SDF 1.7 a model's own name may hold the ::
             if model in self.inner:
                 return model, self.inner[model].scope_from(rest, at=at), at
-            if model in self._home and model in self._home[model].inner:
-                inner = self._home[model]
-                return inner.scope.name, inner.scope_from(name, at=at), at
             more, _, rest = rest.partition("::")
             model = f"{model}::{more}"
+        if model in self._home:
+            inner = self._home[model]
+            return inner.scope.name, inner.scope_from(name, at=at), at
         known = [self.scope.own_frame, *self.names, *self._home]
         at.refuse(
             f"no frame {name!r} in {self.scope.name!r}", allowed=", ".join(known[:12]) + ", ..." * (len(known) > 12)

@@ -48,14 +48,16 @@ class FuelName:
         """The command that fetches it into the cache."""
         return f"gz fuel download -u 'https://{self.server}/1.0/{self.owner}/{self.kind}/{self.name}'"
 
-    def paths(self, caches: tuple[Path, ...]) -> list[Path]:
-        """Return its paths in the caches, the newest version first."""
+    def paths(self, caches: tuple[Path, ...], stock: Path) -> list[Path]:
+        """Return its paths in the caches, the newest version first, then in the folder of models that come along."""
         servers = dict.fromkeys((self.server.lower(), *(_SERVERS if self.server.lower() in _SERVERS else ())))
         out = []
         for cache in caches:
             for server in servers:
                 home = cache / server / self.owner.lower() / self.kind / self.name.lower()
                 out += [folder / self.inside for folder in _versions(home, self.version)]
+        if self.owner.lower() == "openrobotics" and self.kind == "models":
+            out.append(stock / self.name.lower().replace(" ", "_") / self.inside)
         return out
 
 

@@ -24,7 +24,10 @@ MOST_BYTES = 64 * 2**20
 """An XML file above this size is refused before it is read (meshes have their own limit)."""
 
 FURTHEST_M = 1e6
-"""Lengths and positions above this are refused: no world that a radar sees is larger."""
+"""Lengths above this are refused: no world that a radar sees is larger."""
+
+EARTH_M = 1e8
+"""Coordinates above this are refused: those of maps of the Earth are smaller."""
 
 NAMESPACE = "urn:ullage:sdf"
 """Declare it as `xmlns:ullage="urn:ullage:sdf"`; Gazebo passes elements with a prefix by."""
@@ -212,11 +215,11 @@ class Node:
         """
         return _truth(self, self.attribute(key, "false"))
 
-    def numbers(self, count: int) -> Floats:
+    def numbers(self, count: int, *, most: float = FURTHEST_M) -> Floats:
         """Its text as this many finite numbers.
 
         Raises:
-            InputError: it is not that many numbers, or one is not finite or absurdly large.
+            InputError: it is not that many numbers, or one is not finite or above `most`.
         """
         words = self.text.split()
         try:
@@ -227,8 +230,8 @@ class Node:
             self.place.refuse(f"<{self.tag}> holds {len(values)} numbers", allowed=_many(count))
         if not np.isfinite(values).all():
             self.place.refuse(f"<{self.tag}> is not finite: {_short(self.text)!r}", allowed=_many(count))
-        if count and abs(values).max() > FURTHEST_M:
-            self.place.refuse(f"<{self.tag}> is absurdly large: {_short(self.text)!r}", allowed=f"up to {FURTHEST_M:g}")
+        if count and abs(values).max() > most:
+            self.place.refuse(f"<{self.tag}> is absurdly large: {_short(self.text)!r}", allowed=f"up to {most:g}")
         return values
 
     def number(self, tag: str, default: float | None = None) -> float:
@@ -301,14 +304,14 @@ def read_pose(node: Node) -> Pose:
     if not found.text:
         return Pose(np.eye(4), relative_to, found.place)
     if kind == "quat_xyzw":
-        values = found.numbers(7)
+        values = found.numbers(7, most=EARTH_M)
         norm = np.linalg.norm(values[3:])
         if norm < 1e-9:
             found.place.refuse("the quaternion has no length")
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = quat_matrix(values[3:] / norm), values[:3]
         return Pose(matrix, relative_to, found.place)
-    values = found.numbers(6)
+    values = found.numbers(6, most=EARTH_M)
     angles = np.radians(values[3:]) if found.own_flag("degrees") else values[3:]
     return Pose(transform(values[:3], angles), relative_to, found.place)
 

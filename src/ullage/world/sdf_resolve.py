@@ -2,7 +2,8 @@
 
 A file is opened only when it lies, links followed, under the folder of the file that was asked for, under the model or
 package that this folder belongs to (the nearest of three folders up that holds model.config or package.xml), or under
-a folder of the search path, or in the local cache of Gazebo Fuel. Nothing is fetched from the network.
+a folder of the search path, or in the local cache of Gazebo Fuel. Two models of Gazebo's stock, sun and ground_plane,
+come with ullage and stand in where no folder has them. Nothing is fetched from the network.
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ SEARCH_VARIABLES = (
     "ROS_PACKAGE_PATH",
 )
 """Environment variables that hold folders, in the order in which they are searched."""
+
+STOCK = Path(__file__).with_name("stock")
+"""Folder of the models that come with ullage."""
 
 
 def search_folders(asked: Iterable[str | os.PathLike[str]]) -> tuple[Path, ...]:
@@ -79,7 +83,7 @@ class Resolver:
         if scheme not in ("", "file", "model", "package"):
             at.refuse(f"{uri!r} is of an unknown kind", allowed="model://, package://, file:// or a relative path")
         there = [path.resolve() for path in self._candidates(scheme, rest, at.file.parent) if os.path.exists(path)]
-        roots = (*self.homes, *self.folders, *self.caches)
+        roots = (*self.homes, *self.folders, *self.caches, STOCK)
         near = [path for path in there if any(path.is_relative_to(root) for root in roots)]
         if near:
             return near[0]
@@ -96,9 +100,11 @@ class Resolver:
 
     def _cached(self, uri: str, rest: str, at: Place) -> Path:
         name = FuelName.parse(rest)
-        found = [] if name is None else [path.resolve() for path in name.paths(self.caches) if os.path.exists(path)]
+        found = (
+            [] if name is None else [path.resolve() for path in name.paths(self.caches, STOCK) if os.path.exists(path)]
+        )
         for path in found:
-            if any(path.is_relative_to(cache) for cache in self.caches):
+            if any(path.is_relative_to(root) for root in (*self.caches, STOCK)):
                 return path
         advice = "a file; fetch it and add its folder to the search path"
         if name is not None:
@@ -110,6 +116,7 @@ class Resolver:
             name, _, inside = rest.partition("/")
             roots = [root / name for root in (*self.folders, *self.homes)]
             roots += [root for root in (*self.homes, *self.folders) if root.name == name]
+            roots += [STOCK / name] if scheme == "model" else []
             return [root / inside if inside else root for root in roots]
         if Path(rest).is_absolute():
             return [Path(rest)]

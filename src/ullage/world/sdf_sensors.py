@@ -53,8 +53,7 @@ def _rigs(world: ScopeFrames, found_in: Callable[[ScopeFrames, Floats], Iterator
     for name, frames in _models(world, ""):
         sensors: dict[str, RadarSpec] = {}
         home = invert(frames.world_from_scope())
-        merged = [inner for inner in frames.inner.values() if inner.scope.merged]
-        for found in (one for here in [frames, *merged] for one in found_in(here, home)):
+        for found in (one for part in frames.parts() for one in found_in(part, home)):
             called = found.name or "radar"
             sensors[called if called not in sensors else f"{found.link.name}::{called}"] = _radar(found)
         if sensors:
@@ -121,9 +120,7 @@ def _section(node: Node, fan: dict[str, Any], middle_rad: float, sensor_from_rad
 
 
 def _models(frames: ScopeFrames, outer: str) -> Iterator[tuple[str, ScopeFrames]]:
-    for inner in frames.inner.values():
-        if inner.scope.merged:
-            continue
+    for inner in (one for part in frames.parts() for one in part.inner.values() if not one.scope.merged):
         name = f"{outer}::{inner.scope.name}" if outer else inner.scope.name
         yield name, inner
         yield from _models(inner, name)

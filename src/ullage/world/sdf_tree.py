@@ -1,16 +1,29 @@
-"""Contents of an SDF file and its includes: scopes (a world or a model) with links, joints, frames and models."""
+"""Contents of a world file and its includes: scopes (a world or a model) with links, joints, frames and models.
+
+Each file, the main one or an included one, is SDF, or becomes SDF: URDF, xacro, or a mesh as a model of one link.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+from urllib.parse import quote
 
 import numpy as np
+from lxml import etree
 
-from ullage.world.sdf_parse import Node, Pose, read_pose, read_xml, warn_unknown
+from ullage.errors import InputError
+from ullage.world.meshes import FORMATS
+from ullage.world.sdf_parse import Node, Pose, parse_xml, read_pose, read_xml, warn_unknown
 from ullage.world.sdf_resolve import MissingFileError, Resolver, model_file, version
 from ullage.world.sdf_schema import NEWEST, OLDEST
+from ullage.world.urdf import sdf_of_urdf
+from ullage.world.xacro_process import expand_xacro
+
+URDF = (".urdf", ".xacro")
+"""Suffixes of files with a `<robot>`."""
 
 MOST_FILES = 10_000
 """A world that includes more files than this is refused (files that include each other twice grow without end)."""
@@ -67,10 +80,19 @@ class Scope:
 
 
 class TreeReader:
-    """Reads one SDF file and all that it includes."""
+    """Reads one world file and all that it includes.
 
-    def __init__(self, resolver: Resolver) -> None:
+    Args:
+        resolver: finds the files.
+        joints: values of the joints of the main file, if it is URDF [rad or m].
+        xacro: arguments of the main file, if it is xacro; None: xacro files are not trusted, and refused.
+    """
+
+    def __init__(
+        self, resolver: Resolver, *, joints: Mapping[str, float] | None = None, xacro: Mapping[str, str] | None = None
+    ) -> None:
         self.resolver = resolver
+        self.joints, self.xacro = joints or {}, xacro
         self._parsed: dict[Path, Node] = {}
         self._open: list[Path] = []
         self._reported: set[str] = set()
@@ -82,32 +104,56 @@ class TreeReader:
         Raises:
             InputError: an element of it, or of an included file, is not valid.
         """
-        root = self._root(path)
         self._open.append(path.resolve())
+        return self._world(self._root(path, joints=self.joints, arguments=self.xacro))
+
+    def _world(self, root: Node) -> Scope:
         worlds = list(root.children("world"))
         if len(worlds) > 1:
             worlds[1].place.warn(f"{len(worlds)} worlds in one file; only the first is read")
         top = worlds[0] if worlds else root
-        scope = Scope(top.attribute("name") or path.stem, top, own_frame="world")
+        scope = Scope(top.attribute("name") or root.file.stem, top, own_frame="world")
         self._fill(scope, top)
         _apply_state(scope, top)
         if next(root.children("world", "model", "actor", "light", "include"), None) is None:
             root.place.refuse("holds no world, model, actor or light", allowed="<world> or <model> in <sdf>")
         return scope
 
-    def _root(self, path: Path) -> Node:
+    def _root(
+        self, path: Path, *, joints: Mapping[str, float] | None = None, arguments: Mapping[str, str] | None = None
+    ) -> Node:
+        """The `<sdf>` of a file of any kind."""
         key = path.resolve()
         if key not in self._parsed:
-            root = Node(read_xml(path, root=("sdf",)), path)
-            found = version(root)
-            if found < OLDEST:
-                written = root.attribute("version")
-                root.place.refuse(f"SDF version {written}" if written else "no SDF version", allowed="1.0 to 1.12")
-            if found > NEWEST:
-                root.place.warn(f"SDF version {root.attribute('version')} is read as 1.12", kind="newer version")
-            warn_unknown(root, self._reported)
-            self._parsed[key] = root
+            kind = path.suffix.lower()
+            if kind in FORMATS:
+                self._parsed[key] = _sdf_of_mesh(path)
+            elif kind in URDF:
+                self._parsed[key] = sdf_of_urdf(self._robot(path, arguments), joints or {})
+            else:
+                self._parsed[key] = self._sdf(path)
         return self._parsed[key]
+
+    def _robot(self, path: Path, arguments: Mapping[str, str] | None) -> Node:
+        if path.suffix.lower() == ".xacro" and self.xacro is None:
+            what = "xacro evaluates Python code that the file holds, so it runs only when it is trusted"
+            allowed = "--trust-xacro, load_scene(..., trust_xacro=True), or a .urdf file"
+            raise InputError(what, where=path, allowed=allowed)
+        tree = read_xml(path, root=("robot",))
+        if path.suffix.lower() == ".xacro":
+            tree = parse_xml(expand_xacro(path, self.resolver, arguments), path, root=("robot",))
+        return Node(tree, path)
+
+    def _sdf(self, path: Path) -> Node:
+        root = Node(read_xml(path, root=("sdf",)), path)
+        found = version(root)
+        if found < OLDEST:
+            written = root.attribute("version")
+            root.place.refuse(f"SDF version {written}" if written else "no SDF version", allowed="1.0 to 1.12")
+        if found > NEWEST:
+            root.place.warn(f"SDF version {root.attribute('version')} is read as 1.12", kind="newer version")
+        warn_unknown(root, self._reported)
+        return root
 
     def _fill(self, scope: Scope, node: Node) -> None:
         for link in node.children("link"):
@@ -121,6 +167,9 @@ class TreeReader:
         scope.actors.extend(self._model(actor) for actor in node.children("actor"))
         for include in node.children("include"):
             self._include(scope, include)
+        for population in node.children("population"):
+            what = f"<population> {population.attribute('name')!r} is passed by: its models are not placed"
+            population.place.warn(what, kind="population")
 
     def _model(self, node: Node) -> Scope:
         scope = Scope(node.name, node, pose=read_pose(node), placement_frame=node.attribute("placement_frame"))
@@ -143,10 +192,20 @@ class TreeReader:
             node.place.refuse("too many includes", allowed=f"{MOST_FILES} in all, {DEEPEST} deep")
         self._open.append(path)
         try:
-            for found in _contents(self._root(path), node):
-                self._place(scope, self._model(found), node)
+            model = self._included(self._root(path))
+            if model is not None:
+                self._place(scope, model, node)
         finally:
             self._open.pop()
+
+    def _included(self, root: Node) -> Scope | None:
+        """The model or actor of an included file, or its world as one model; None: a light."""
+        found = list(root.children("model", "actor", "light"))
+        if len(found) > 1:
+            found[1].place.warn("an included file should hold one model; only the first is read", kind="several models")
+        if not found:
+            return self._world(root)
+        return None if found[0].tag == "light" else self._model(found[0])
 
     def _place(self, scope: Scope, model: Scope, include: Node) -> None:
         """Put an included model into the scope, by the settings of its include."""
@@ -166,14 +225,13 @@ class TreeReader:
         scope.models.append(model)
 
 
-def _contents(root: Node, include: Node) -> Iterator[Node]:
-    found = list(root.children("model", "actor", "light"))
-    if not found:
-        include.place.refuse(f"{root.file} holds no model, actor or light")
-    if len(found) > 1:
-        found[1].place.warn("an included file should hold one model; only the first is read", kind="several models")
-    if found[0].tag != "light":
-        yield found[0]
+def _sdf_of_mesh(path: Path) -> Node:
+    root: Any = etree.Element("sdf", version="1.12")
+    link = etree.SubElement(etree.SubElement(root, "model", name=path.stem), "link", name="link")
+    for tag in ("collision", "visual"):
+        shape = etree.SubElement(etree.SubElement(link, tag, name=tag), "geometry")
+        etree.SubElement(etree.SubElement(shape, "mesh"), "uri").text = quote(path.name)
+    return Node(root, path)
 
 
 def _apply_state(scope: Scope, world: Node) -> None:

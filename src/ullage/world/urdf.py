@@ -1,4 +1,4 @@
-"""URDF, with xacro: the robot is rewritten as an SDF model whose links stand where yourdfpy's kinematics puts them.
+"""URDF: the robot is rewritten as an SDF model whose links stand where yourdfpy's kinematics puts them.
 
 So names, materials, wires and refusals are those of SDF. A `<laserRetro>` or a radar's `<sensor>` in
 `<gazebo reference="LINK">`, and an `<ullage:material>` in a link, visual or collision count as in SDF.
@@ -9,8 +9,7 @@ from __future__ import annotations
 import copy
 import io
 import logging
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -19,13 +18,7 @@ from lxml import etree
 from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, transform
-from ullage.world.notices import one_notice_per_kind
-from ullage.world.scene import Scene
-from ullage.world.sdf import Geometry, scene_of
-from ullage.world.sdf_parse import Node, Pose, parse_xml, read_xml
-from ullage.world.sdf_resolve import Resolver
-from ullage.world.sdf_tree import Link, Scope
-from ullage.world.xacro_process import expand_xacro
+from ullage.world.sdf_parse import EARTH_M, Node
 
 _NAMES = """
 acceleration actuator axis box calibration capsule child collision color contact cylinder dynamics effort gazebo
@@ -37,39 +30,31 @@ KNOWN = frozenset(_NAMES.split())
 _NEEDED = {"box": ("size",), "capsule": ("radius", "length"), "cylinder": ("radius", "length"), "sphere": ("radius",)}
 
 
-def load_urdf(
-    path: Path, *, geometry: Geometry = "collision", search_path: Sequence[str | Path] = (),
-    joints: Mapping[str, float] | None = None, trust_xacro: bool = False,
-) -> Scene:  # fmt: skip
-    """The scene of a URDF or xacro file.
+def sdf_of_urdf(robot: Node, joints: Mapping[str, float]) -> Node:
+    """Rewrite a robot as SDF with one model.
 
     Args:
-        path: the file.
-        geometry: which shapes to take.
-        search_path: folders for package://, model:// and relative names, and for xacro's $(find).
+        robot: the `<robot>`.
         joints: joint values [rad or m]; those not named are at zero.
-        trust_xacro: expand a .xacro file, which may evaluate Python code; it is refused otherwise.
+
+    Returns:
+        The `<sdf>`, of the robot's name.
 
     Raises:
-        InputError: something in it, or a file that it names, cannot be used; or it is xacro and not trusted.
+        InputError: a link or joint is not valid, or there is no such joint.
     """
-    resolver = Resolver(path, search_path)
-    tree = read_xml(path, root=("robot",))
-    if path.suffix.lower() == ".xacro":
-        if not trust_xacro:
-            raise InputError("xacro is not trusted", where=path, allowed="load_urdf(..., trust_xacro=True)")
-        tree = parse_xml(expand_xacro(path, resolver), path, root=("robot",))
-    root = Node(tree, path)
-    _check(root)
-    poses = _link_poses(root, joints or {})
-    robot = Scope(root.attribute("name") or path.stem, root)
-    for link in root.children("link"):
-        made = _sdf_link(link, _retros(root))
-        made.element.extend(copy.deepcopy(sensor) for sensor in _sensors(root, link.name))
-        robot.links.append(Link(link.name, Pose(poses[link.name]), made))
-    world = Scope(robot.name, root, own_frame="world", models=[robot])
-    with one_notice_per_kind():
-        return scene_of(world, resolver, geometry=geometry)
+    _check(robot)
+    poses, retros = _link_poses(robot, joints), _retros(robot)
+    name = robot.attribute("name") or robot.file.stem
+    root, model = _like("sdf", robot, version="1.12", name=name), _like("model", robot, name=name)
+    root.append(model)
+    model.extend(copy.deepcopy(tag) for tag in robot.element if _ours(tag))
+    for link in robot.children("link"):
+        made = _sdf_link(link, retros)
+        made.insert(0, _pose_at(poses[link.name], link))
+        made.extend(copy.deepcopy(sensor) for sensor in _sensors(robot, link.name))
+        model.append(made)
+    return Node(root, robot.file)
 
 
 def _check(root: Node) -> None:
@@ -137,19 +122,19 @@ def _link_poses(root: Node, joints: Mapping[str, float]) -> dict[str, Floats]:
     return poses
 
 
-def _sdf_link(link: Node, retros: Mapping[str, str]) -> Node:
+def _sdf_link(link: Node, retros: Mapping[str, str]) -> Any:
     """The link as SDF writes it, on the same lines."""
     out = _like("link", link, name=link.name)
     out.extend(copy.deepcopy(tag) for tag in link.element if _ours(tag))
     for number, shape in enumerate(link.children("collision", "visual")):
         made = _like(shape.tag, shape, name=shape.attribute("name") or f"{shape.tag}{number}")
-        made.append(_pose(shape))
+        made.append(_pose_at(_origin(shape), shape.child("origin") or shape))
         made.extend(copy.deepcopy(tag) for tag in shape.element if _ours(tag))
         if link.name in retros:
             etree.SubElement(made, "laser_retro").text = retros[link.name]
         made.append(_geometry(shape.need("geometry")))
         out.append(made)
-    return Node(out, link.file)
+    return out
 
 
 def _ours(tag: Any) -> bool:
@@ -174,10 +159,9 @@ def _geometry(node: Node) -> Any:
     return out
 
 
-def _pose(shape: Node) -> Any:
-    matrix = _origin(shape)
+def _pose_at(matrix: Floats, place: Node) -> Any:
     values = [*matrix[:3, 3], *matrix_quat(matrix[:3, :3])]
-    out = _like("pose", shape.child("origin") or shape, rotation_format="quat_xyzw")
+    out = _like("pose", place, rotation_format="quat_xyzw")
     out.text = " ".join(repr(float(value)) for value in values)
     return out
 
@@ -190,7 +174,7 @@ def _origin(node: Node) -> Floats:
     for key in ("xyz", "rpy"):
         made = _like(f"{key} of origin", origin)
         made.text = origin.attribute(key, "0 0 0")
-        both.append(Node(made, node.file).numbers(3))
+        both.append(Node(made, node.file).numbers(3, most=EARTH_M))
     return transform(*both)
 
 

@@ -24,6 +24,22 @@ class OutOfReach(BaseException):
     """Raised if the file requests what is not allowed; no `except Exception` in an expression hides it."""
 
 
+class Arguments(dict[str, str]):
+    """The given arguments, with the names of those that the file reads."""
+
+    def __init__(self, given: dict[str, str]) -> None:
+        super().__init__(given)
+        self.read: set[str] = set()
+
+    def __contains__(self, name: object) -> bool:
+        self.read.add(str(name))
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.read.add(name)
+        return super().__getitem__(name)
+
+
 def main() -> None:
     """Expand the file of the request."""
     request = json.load(sys.stdin)
@@ -39,8 +55,11 @@ def main() -> None:
     _let_find(request["roots"])
     out, errors = os.fdopen(os.dup(1), "w", encoding="utf-8"), os.dup(2)
     sys.addaudithook(lambda event, given: _check(event, given, request["roots"], libraries))
+    arguments = Arguments(request["arguments"])
     try:
-        text = xacro.process_file(request["file"]).toxml()
+        text = xacro.process_file(request["file"], mappings=arguments).toxml()
+        if unknown := set(request["arguments"]) - arguments.read:
+            raise OutOfReach(f"no argument {min(unknown)!r}; it has {', '.join(sorted(arguments.read)) or 'none'}")
         if len(text) > request["most_bytes"]:
             raise OutOfReach(f"makes {len(text)} characters of XML")
         out.write(text)

@@ -11,6 +11,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from ullage.errors import InputError, one_line
@@ -22,12 +23,15 @@ MOST_MEMORY = 512 * 2**20
 CHILD = Path(__file__).with_name("xacro_child.py")
 
 
-def expand_xacro(path: Path, resolver: Resolver, *, longest_s: int = LONGEST_S) -> bytes:
+def expand_xacro(
+    path: Path, resolver: Resolver, arguments: Mapping[str, str] | None = None, *, longest_s: int = LONGEST_S
+) -> bytes:
     """The URDF that a xacro file makes; lines in messages are then those of the expanded text.
 
     Args:
         path: the file.
         resolver: knows the folders that it may read.
+        arguments: values of its `<xacro:arg>` by name.
         longest_s: how long the expansion may take [s].
 
     Raises:
@@ -35,8 +39,8 @@ def expand_xacro(path: Path, resolver: Resolver, *, longest_s: int = LONGEST_S) 
     """
     roots = [str(folder) for folder in (*resolver.homes, *resolver.folders)]
     request = {
-        "file": str(path.absolute()), "roots": roots, "import_path": sys.path, "seconds": longest_s,
-        "memory": MOST_MEMORY, "most_bytes": MOST_BYTES,
+        "file": str(path.absolute()), "arguments": dict(arguments or {}), "roots": roots,
+        "import_path": sys.path, "seconds": longest_s, "memory": MOST_MEMORY, "most_bytes": MOST_BYTES,
     }  # fmt: skip
     with tempfile.TemporaryFile() as out:
         try:
@@ -48,6 +52,7 @@ def expand_xacro(path: Path, resolver: Resolver, *, longest_s: int = LONGEST_S) 
             raise InputError("xacro does not end", where=path, allowed=f"{longest_s} s") from None
         if done.returncode:
             reason = one_line(done.stderr.decode(errors="replace"), most=300) or f"it ends with {done.returncode}"
-            raise InputError(f"xacro fails: {reason}", where=path)
+            allowed = "--xacro NAME:=VALUE, or FILE.xacro?NAME:=VALUE" if " argument" in reason else ""
+            raise InputError(f"xacro fails: {reason}", where=path, allowed=allowed)
         out.seek(0)
         return out.read(MOST_BYTES)

@@ -66,7 +66,7 @@ def scene_of(message: Any, *, where: str) -> Scene:
         path = Path(folder) / "scene.sdf"
         path.write_text(sdf_of(message), encoding="utf-8")
         try:
-            return load_scene(path)
+            return load_scene(path, origin_m=(0.0, 0.0, 0.0))
         except InputError as error:
             raise InputError(f"Gazebo's scene: {error.what}", where=where, allowed=error.allowed) from None
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import Field
 
-from ullage.config import Fidelity
+from ullage.config import Fidelity, split_source
 from ullage.errors import InputError, shown
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.geodetic import TRONDHEIM
@@ -230,12 +230,12 @@ def endpoint(place: str) -> tuple[Literal["tcp", "udp", ""], str, int]:
     return kind, found[2] or "", int(found[3] or PORTS.get(kind, 0))
 
 
-def scene_path(world: str) -> Path:
-    """The file of a world by its library name or its path."""
+def scene_path(world: str) -> str:
+    """The file of a world by its library name or its path, with the arguments of xacro."""
     from ullage.world.library import WORLDS
 
     if world in WORLDS:
-        return Path(WORLDS[world].path)
-    if not Path(world).exists():
+        return str(WORLDS[world].path)
+    if not Path(split_source(world)[0]).exists():
         raise InputError(f"no world {world!r}", where="imc", allowed=", ".join(WORLDS) + ", or a file")
-    return Path(world)
+    return world
