@@ -642,3 +642,44 @@ def test_a_map_holds_its_surfaces_with_kind_and_extent(tmp_path):
 def test_a_slope_is_listed_as_one():
     omap = ul.map_occupancy(flown(curve(), slope(90, 2.0, 30)), GRID, method="likelihood")
     assert [one.kind for one in omap.surfaces] == ["slope"]
+
+
+def wall_cells(distance_m, half_m=1.0):
+    """Cells of a wall ahead, at this distance along x."""
+    points = np.array([[distance_m + 0.02, y, 0.0] for y in np.arange(-half_m, half_m, 0.05)])
+    return tuple(GRID.index(points)[0].T)
+
+
+def test_silence_vouches_for_no_wall_in_a_direction_in_which_no_radar_looks():
+    """The wall ahead echoes 70 dB below a mirror, as if the radars that look there were gone."""
+    frames = flown(curve(), wall(90, 2.5), wall(0, 3.0, strength=1e-3))
+    sides = mapped({name: frames[name] for name in ("left", "right")}).map()
+    assert not sides.free[wall_cells(3.0)].any()
+    assert mapped(frames).map().free[wall_cells(2.4)].any(), "the radars ahead hear that far"
+
+
+def test_echoes_within_the_own_echo_count_and_silence_there_does_not():
+    frames = flown(curve(), wall(90, 2.0))
+    stated = {name: replace(part, spec=part.spec.but(own_echo_m=2.5)) for name, part in frames.items()}
+    plain, blind = mapped(frames).map(), mapped(stated).map()
+    np.testing.assert_array_equal(blind.occupied, plain.occupied)
+    assert blind.occupied.any()
+    assert not (blind.free & ~plain.free).any()
+    assert blind.free.sum() < 0.7 * plain.free.sum()
+
+
+@pytest.mark.parametrize("spacing_m", [0.05, 0.085])
+def test_one_radar_maps_with_few_frames_or_says_why_not(spacing_m):
+    left = flown(Trajectory.line((-2, 0, 0), (2, 0.2, 0), 0.5, 0.5 / spacing_m), wall(90, 2.0))["left"]
+    omap = mapped({"left": left}).map()
+    assert omap.occupied.sum() > 20
+    with pytest.warns(ul.errors.UllageWarning, match="most places have fewer than 4 frames within 0.44 m"):
+        assert not mapped({"left": left[::5]}).map().occupied.any()
+
+
+def test_another_radar_leads_where_the_frames_of_the_first_one_end():
+    frames = flown(curve(), wall(90, 2.0))
+    first = next(iter(frames))
+    ended = mapped(frames | {first: frames[first][:20]}).map()
+    without = mapped({name: part for name, part in frames.items() if name != first}).map()
+    assert ended.occupied.sum() > 0.8 * without.occupied.sum()

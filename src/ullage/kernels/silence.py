@@ -26,6 +26,7 @@ class Residual(NamedTuple):
     high: int  # bin after the last
     start_m: float  # range of bin 0
     bin_m: float
+    near: int  # bins to each side in which an obstacle may appear
 
 
 @inner()
@@ -33,6 +34,37 @@ def _log_ratio(energy, clutter, expected):  # type: ignore[no-untyped-def]
     """Log-likelihood of an energy without an obstacle over that with one; both are exponential [Kay1998]."""
     both = clutter + expected
     return math.log(both / clutter) - energy * (1 / clutter - 1 / both)
+
+
+@inner()
+def _received(residual, d, far):  # type: ignore[no-untyped-def]
+    """Bin of a range, and the most energy about it; -1 where nothing there would be received."""
+    k, near = round((far - residual.start_m) / residual.bin_m), residual.near
+    if k < residual.low + near or k >= residual.high - near:
+        return -1, 0.0
+    energy = 0.0
+    for i in range(k - near, k + near + 1):
+        energy = max(energy, residual.energy[d, i])
+    return k, energy
+
+
+@loop()
+def hear(residual, noise, step_m, out):  # type: ignore[no-untyped-def]
+    """Set how far a mirror, seen square in a direction and at a range, would exceed all that was received there.
+
+    Args:
+        residual: what a keyframe received.
+        noise: its energy in one bin.
+        step_m: between ranges.
+        out: (n, m) ratio of energies by direction over the circle, and by range; 0 where nothing would be received.
+    """
+    count, directions = out.shape[0], residual.energy.shape[0]
+    for n in range(count):
+        d = round((n + 0.5) / count * directions) % directions
+        for m in range(out.shape[1]):
+            far = (m + 0.5) * step_m
+            k, energy = _received(residual, d, far)
+            out[n, m] = residual.expected[d] / (far * far) / (energy + NOISE * noise) if k >= 0 else 0.0
 
 
 @loop()
@@ -59,13 +91,10 @@ def listen(plane, place, residual, radius_m, defocus_m, weight, out):  # type: i
             x = plane.x + plane.step * (column + 0.5) - place[0]
             y = plane.y + plane.step * (row + 0.5) - place[1]
             far = math.hypot(x, y)
-            k = round((far - residual.start_m) / residual.bin_m)
-            if k < residual.low + NEAR_BINS or k >= residual.high - NEAR_BINS:
-                continue
             d = round(math.atan2(y, x) / (2 * math.pi) * directions) % directions
-            energy = 0.0
-            for near in range(k - NEAR_BINS, k + NEAR_BINS + 1):
-                energy = max(energy, residual.energy[d, near])
+            k, energy = _received(residual, d, far)
+            if k < 0:
+                continue
             expected = residual.expected[d] / (far * far) * radius_m / (radius_m + far)
             expected /= math.sqrt(1 + (defocus_m / far) ** 2)
             nats = _log_ratio(energy, NOISE * residual.clutter[k], expected)
@@ -76,8 +105,9 @@ class Sight(NamedTuple):
     """Places from which surfaces are seen, and what blocks the view."""
 
     places: NDArray[np.float64]  # (f, 2) of the track [m]
+    heard: NDArray[np.bool_]  # (f, n, m) whether a wall square to a direction would be received from there, by range
+    step_m: float  # between these ranges
     blocked: NDArray[np.bool_]  # (cells) that end a line of sight
-    reach_m: float  # farthest view
     half_m: float  # half length of the shortest surface
 
 
@@ -121,9 +151,12 @@ def _set_normals(plane, walls, cell, seen):  # type: ignore[no-untyped-def]
     for i in range(len(sight.places)):
         dx, dy = x - sight.places[i, 0], y - sight.places[i, 1]
         far = math.hypot(dx, dy)
-        if far > sight.reach_m or far < BODY_M:
+        m = math.floor(far / sight.step_m)
+        if far < BODY_M or m >= sight.heard.shape[2]:
             continue
         middle = math.atan2(dy, dx) / math.pi * normals
+        if not sight.heard[i, math.floor(middle) % (2 * normals), m]:
+            continue
         if seen[math.floor(middle) % normals] or not _is_seen(plane, sight, i, dx, dy, far):
             continue
         wide = sight.half_m / far / math.pi * normals

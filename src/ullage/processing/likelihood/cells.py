@@ -24,7 +24,7 @@ from ullage.kernels.surface_cells import (
     find_hidden,
 )
 from ullage.processing.likelihood.lying import cut_sigma, in_plane
-from ullage.processing.likelihood.silence import without_surfaces
+from ullage.processing.likelihood.silence import Silence, without_surfaces
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import UNFIT_SIGMA, Surface, smoothed
 
@@ -52,7 +52,7 @@ def render(
     grid: Grid,
     surfaces: list[Surface],
     flown: Floats,
-    quiet: Floats,
+    silence: Silence,
     wavelength_m: float,
     fold_m: float,
     spec: LikelihoodSpec,
@@ -63,7 +63,7 @@ def render(
         grid: a plane.
         surfaces: those that are sure.
         flown: (f, 2) places of the track [m].
-        quiet: (2, cells) log-likelihoods that no least obstacle and no edge stands there, by silence.
+        silence: what was not received.
         wavelength_m: of the carrier [m].
         fold_m: unambiguous range of the radars [m].
         spec: parameters.
@@ -71,7 +71,7 @@ def render(
     Returns:
         The map, and which surfaces are on it: not hidden behind others, and not flown through.
     """
-    plane = Plane(*grid.origin_m[:2], grid.step_m, *grid.shape)
+    plane, quiet = Plane(*grid.origin_m[:2], grid.step_m, *grid.shape), silence.nats
     percent = np.full(grid.size, UNKNOWN, np.int8)
     kept = np.zeros(len(surfaces), bool)
     percent[_body(grid, flown, spec.vehicle_m)] = FREE
@@ -99,7 +99,7 @@ def render(
         width = np.where(alive | slopes, spec.tube * clearance, 0.0)
         tubes = Tubes(width, doubt, wavelength_m, spec.margin_m, SURE_M)
         free = _passed(plane, paths, tubes, ends, near) & (quiet[0] >= 0)
-        free |= _silent(plane, flown, quiet, ends, free | (percent == FREE), spec)
+        free |= _silent(plane, silence, ends, free | (percent == FREE), spec)
         percent[free & ~shown] = FREE
         percent[occupied] = OCCUPIED
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
@@ -113,12 +113,13 @@ def _passed(plane: Plane, views: Views, tubes: Tubes, evidence: Floats, extensio
     return np.asarray(free.reshape(plane.rows, PARTS, plane.columns, PARTS).all(axis=(1, 3)).ravel())
 
 
-def _silent(plane: Plane, flown: Floats, quiet: Floats, evidence: Floats, free: Bools, spec: LikelihoodSpec) -> Bools:
+def _silent(plane: Plane, silence: Silence, evidence: Floats, free: Bools, spec: LikelihoodSpec) -> Bools:
     """Cells from which poles and surfaces would have been received (cells)."""
     shown = evidence >= SHOWN
     beside = binary_dilation(shown.reshape(plane.rows, plane.columns), np.ones((3, 3), bool)).ravel()
-    pole, edge = quiet >= spec.silence
-    return without_surfaces(plane, flown, shown, free, pole & ~shown & ~free, beside | ~edge) & ~beside
+    pole, edge = silence.nats >= spec.silence
+    possible, ends = pole & ~shown & ~free, beside | ~edge
+    return without_surfaces(plane, silence.hearing(), shown, free, possible, ends) & ~beside
 
 
 def _extensions(plane: Plane, views: Views, alive: Bools, extension_m: float) -> Floats:

@@ -127,7 +127,7 @@ class DirectionFinder:
         """
         spec, aperture, noise = self._spec, key.aperture, key.noise**2
         bins, sensors = aperture.samples.shape[1], len(aperture.axes)
-        low, high = key.first_bin, bins - int(FAR_END_M / key.bin_m)
+        low, high = key.silent_bin, bins - int(FAR_END_M / key.bin_m)
         track = _track_of(aperture.offset, aperture.sensor)
         floor, found, patterns = np.ones(bins), list[_Echo](), Patterns(cubes, np.ascontiguousarray(key.turns))
         if len(aperture.offset) >= LEAST_ROWS and low < high:
@@ -157,7 +157,7 @@ class DirectionFinder:
     ) -> Generator[None, None, list[_Echo]]:
         """Take the echoes out one after the other; `floor` (b) becomes what they leave behind, over the noise."""
         spec, key, noise, bins = self._spec, seen.key, seen.key.noise**2, len(floor)
-        low, high = key.first_bin, bins - int(FAR_END_M / key.bin_m)
+        low, high = key.silent_bin, bins - int(FAR_END_M / key.bin_m)
         yield from sums.steps(low, high)
         reach, out = 2 * int(3 * key.pulse) + 2, list[_Echo]()
         for _ in range(spec.most_echoes):

@@ -26,7 +26,7 @@ from ullage.processing.likelihood.rivals import APART, MOST_LEAD, MirrorLevel, r
 from ullage.processing.likelihood.spec import LikelihoodSpec
 
 FAR_END_M = 0.3  # of the range axis that the search leaves out
-LEAST_ROWS = 12  # of an aperture: three frames of four sensors
+LEAST_ROWS = 4  # of an aperture: range, bearing and curvature need three
 BEARING_PRIOR_RAD, CURVATURE_PRIOR, COSINE_PRIOR = (
     0.5,
     1.0,

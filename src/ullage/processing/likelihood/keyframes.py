@@ -16,10 +16,13 @@ from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels.matched_sums import GAIN_CELLS, Aperture
+from ullage.processing.echoes import BLIND_M
 from ullage.processing.likelihood.spec import LikelihoodSpec
 
 UPSAMPLING = 2  # of range bins, so that linear interpolation between them is good to 1 %
 LATEST_NS = 10_000_000_000  # a sensor that lags by more is not waited for
+NEVER_NS = -(2**62)
+GAP_NS = 1_000_000_000  # without frames of the leading sensor, after which another one leads
 NORMAL_MAD = 1.4826  # standard deviation of normal noise over its median absolute deviation
 TURN_RAD = np.radians(3.0)  # a frame counts after such a turn, too
 
@@ -34,6 +37,7 @@ class Row:
     turn: Floats  # (3, 3) world from sensor
     samples: NDArray[np.complex64]  # (b) baseband
     noise: float  # amplitude of the noise in one bin
+    gap_ns: int  # since the frame before it
 
 
 @dataclass(slots=True, eq=False)
@@ -45,10 +49,12 @@ class Channel:
     gains: Floats  # two-way amplitude gain against 1 - cosine to boresight
     wavelength_m: float
     envelope: bool  # samples are amplitudes without phase
-    blind_m: float  # range that the direct path covers
+    own_m: float  # range that the own echo may cover: silence there shows nothing
+    mount_sigma: tuple[float, float]  # of the position [m] and the boresight [rad]
     pulse_m: float  # standard deviation of the pulse's envelope
     rows: deque[Row] = field(default_factory=deque)
-    seen_ns: int = -(2**62)  # time of its last frame
+    seen_ns: int = NEVER_NS  # time of its last frame
+    waited_ns: int = 0  # longest time without a frame since the last row
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +67,9 @@ class Keyframe:
     bin_m: float
     noise: float
     first_bin: int  # beyond the direct path
+    silent_bin: int  # beyond the own echo
+    mount_sigma_m: float
+    mount_sigma_rad: float
     pulse: float  # standard deviation of the pulse's envelope [bin]
     wavelength_m: float
     turns: Floats  # (s, 3, 3) world from sensor, of each sensor's frame nearest in time; zeros without one
@@ -70,7 +79,8 @@ class Keyframe:
 class KeyframeSelector:
     """Collects frames of all sensors and gives a keyframe each time its aperture is complete.
 
-    The first sensor leads: a keyframe is a frame of it that has moved by `keyframe_m`. The aperture holds the frames of
+    The first sensor leads, and another one where its frames end: a keyframe is a frame of it that has moved by
+    `keyframe_m`. The aperture holds the frames of
     all sensors in the time for which the leading sensor stays within `window_m`. A keyframe waits until every sensor
     has passed that time, so pieces of any size give the same keyframes.
     """
@@ -79,8 +89,9 @@ class KeyframeSelector:
         self._spec = spec
         self._of_sums = float(norm.isf(math.exp(-spec.least_snr))) / math.sqrt(spec.least_snr)
         self._channels: dict[str, Channel] = {}
+        self._leading = ""
         self._next = 0  # index of the leading row that may become the next keyframe
-        self._last: Floats | None = None
+        self._last: Row | None = None
 
     def add(self, part: Frames) -> None:
         """Take frames of one sensor; frames that have hardly moved since the last one are left out."""
@@ -91,13 +102,16 @@ class KeyframeSelector:
         turns = quat_matrix(path.quat_xyzw)
         axes = turns[:, :, 0]
         for i in range(len(part)):
-            channel.seen_ns = int(part.t_ns[i])
+            gap_ns = int(part.t_ns[i]) - channel.seen_ns if channel.seen_ns > NEVER_NS else 0
+            gap_ns, channel.seen_ns = max(gap_ns, channel.waited_ns), int(part.t_ns[i])
+            channel.waited_ns = gap_ns
             if channel.rows and not self._has_moved(channel.rows[-1], path.position[i], axes[i]):
                 continue
             samples = np.asarray(part.samples[i])
             samples, noise = self._without_mean(samples) if channel.envelope else (samples, _noise(samples))
-            row = Row(channel.seen_ns, path.position[i], axes[i], turns[i], _upsampled(samples), noise)
+            row = Row(channel.seen_ns, path.position[i], axes[i], turns[i], _upsampled(samples), noise, gap_ns)
             channel.rows.append(row)
+            channel.waited_ns = 0
 
     def _without_mean(self, samples: NDArray[np.floating]) -> tuple[NDArray[np.floating], float]:
         """Amplitudes (b) less what noise alone gives, and the noise of equal false alarms in sums with phase.
@@ -115,20 +129,41 @@ class KeyframeSelector:
         """The keyframes whose apertures are complete; at the end those that are left."""
         if not self._channels:
             return
-        leader = next(iter(self._channels.values()))
-        while self._next < len(leader.rows):
-            rows = leader.rows
+        self._leading = self._leading or next(iter(self._channels))
+        while self._leads() or self._hand_over():
+            rows = self._channels[self._leading].rows
             centre = rows[self._next]
-            if self._last is not None and np.linalg.norm(centre.position - self._last) < self._spec.keyframe_m:
+            if self._last is not None and np.linalg.norm(centre.position - self._last.position) < self._spec.keyframe_m:
                 self._next += 1
                 continue
             first, last, closed = self._span(rows, self._next)
             if not (finish or (closed and self._all_past(rows[last].t_ns))):
                 break
-            self._last = centre.position
+            self._last = centre
             key = self._keyframe(centre, rows[first].t_ns, rows[last].t_ns)
             self._drop_before(rows[first].t_ns)
             yield key
+
+    def _leads(self) -> bool:
+        """Whether the leading sensor has a next row, without a gap before it."""
+        rows = self._channels[self._leading].rows
+        return self._next < len(rows) and (self._last is None or rows[self._next].gap_ns <= GAP_NS)
+
+    def _hand_over(self) -> bool:
+        """Let another sensor lead where the frames of the leading one pause or end."""
+        leader, last = self._channels[self._leading], self._last
+        waits = self._next >= len(leader.rows)
+        newest = max(channel.seen_ns for channel in self._channels.values())
+        if last is None or (waits and newest - leader.seen_ns <= LATEST_NS):
+            return False
+        until_ns = newest if waits else leader.rows[self._next].t_ns
+        for name, channel in self._channels.items():
+            later = [k for k, row in enumerate(channel.rows) if last.t_ns < row.t_ns < until_ns]
+            if channel is not leader and later and channel.rows[later[0]].gap_ns <= GAP_NS:
+                self._leading, self._next = name, later[0]
+                self._last = _nearest(channel, last.t_ns)
+                return True
+        return not waits
 
     def _span(self, rows: deque[Row], index: int) -> tuple[int, int, bool]:
         """First and last row about `index` within the window, and whether a later row has left it."""
@@ -145,14 +180,14 @@ class KeyframeSelector:
         return all(channel.seen_ns > t_ns or newest - t_ns > LATEST_NS for channel in self._channels.values())
 
     def _drop_before(self, t_ns: int) -> None:
-        for place, channel in enumerate(self._channels.values()):
+        for name, channel in self._channels.items():
             while channel.rows and channel.rows[0].t_ns < t_ns:
                 channel.rows.popleft()
-                self._next -= place == 0
+                self._next -= name == self._leading
 
     def _keyframe(self, centre: Row, first_ns: int, last_ns: int) -> Keyframe:
         channels = list(self._channels.values())
-        leader = channels[0]
+        leader = self._channels[self._leading]
         picked = [
             (s, row) for s, channel in enumerate(channels) for row in channel.rows if first_ns <= row.t_ns <= last_ns
         ]
@@ -168,13 +203,17 @@ class KeyframeSelector:
         pairs = np.ascontiguousarray(np.stack([samples.real, samples.imag], axis=-1), np.float32)
         moment = np.unique([row.t_ns for _, row in picked], return_inverse=True)[1]
         sensor = np.array([s for s, _ in picked])
+        blind_m = max(channel.own_m if channel.envelope else min(channel.own_m, BLIND_M) for channel in channels)
         return Keyframe(
             place,
             Aperture(pairs, offset, sensor, axes, gains, phase, moment, np.zeros((3, 3))),
             leader.start_m,
             leader.bin_m,
             float(np.median([row.noise for _, row in picked])),
-            max(int((leader.blind_m - leader.start_m) / leader.bin_m), 0),
+            max(int((blind_m - leader.start_m) / leader.bin_m), 0),
+            max(int((max(channel.own_m for channel in channels) - leader.start_m) / leader.bin_m), 0),
+            max(channel.mount_sigma[0] for channel in channels),
+            max(channel.mount_sigma[1] for channel in channels),
             leader.pulse_m / leader.bin_m,
             leader.wavelength_m,
             np.stack([_nearest(one, centre.t_ns).turn if one.rows else np.zeros((3, 3)) for one in channels]),
@@ -204,7 +243,8 @@ def _channel_of(part: Frames) -> Channel:
     spec = part.spec
     pulse_m = spec.pulse_sigma_s * C0 / 2
     start_m, envelope = float(part.range_m[0]), not np.iscomplexobj(part.samples)
-    return Channel(start_m, step / UPSAMPLING, gains, spec.wavelength_m, envelope, spec.own_echo_m, pulse_m)
+    mount = spec.mount.position_sigma_m, math.radians(spec.mount.angle_sigma_deg)
+    return Channel(start_m, step / UPSAMPLING, gains, spec.wavelength_m, envelope, spec.own_echo_m, mount, pulse_m)
 
 
 def _upsampled(samples: NDArray[np.inexact]) -> NDArray[np.complex64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -10,11 +11,11 @@ import numpy as np
 from ullage import checks
 from ullage.arrays import Bools
 from ullage.data import Frames, Recording
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageWarning
 from ullage.grids import Changes, Grid, MappedSurface, OccupancyMap
 from ullage.processing.baseband import as_baseband
 from ullage.processing.likelihood.cells import render
-from ullage.processing.likelihood.echoes import EchoFinder
+from ullage.processing.likelihood.echoes import LEAST_ROWS, EchoFinder
 from ullage.processing.likelihood.keyframes import Keyframe, KeyframeSelector
 from ullage.processing.likelihood.lying import cut_or_foot
 from ullage.processing.likelihood.silence import Silence
@@ -70,6 +71,7 @@ class LikelihoodMapper:
         self._wavelength_m = self._fold_m = 0.0
         self._phase: bool | None = None
         self._flown: dict[tuple[int, int], None] = {}
+        self._apertures = self._thin = 0  # keyframes, and those with too few frames for a search
         self._published: OccupancyMap | None = None
 
     def update(self, frames: Recording) -> None:
@@ -112,6 +114,8 @@ class LikelihoodMapper:
 
     def _take_in(self, *, finish: bool) -> None:
         for key in self._keyframes.ready(finish=finish):
+            self._apertures += 1
+            self._thin += len(key.aperture.offset) < LEAST_ROWS
             self._work.add(self._explained(key))
 
     def _explained(self, key: Keyframe) -> Iterator[None]:
@@ -122,19 +126,23 @@ class LikelihoodMapper:
         echoes = yield from self._echoes.steps(key, known)
         yield
         self._tracker.update(echoes)
-        self._silence.add(key, echoes, self._echoes.left)
+        self._silence.add(key, echoes, self._echoes.left, self._echoes.pose_errors.sigma_m)
 
     def finish(self) -> None:
         """Use the frames that waited for a complete aperture."""
         self._take_in(finish=True)
         self._work.finish()
+        if self._thin and self._thin > self._apertures / 2:
+            text = f"most places have fewer than {LEAST_ROWS} frames within {2 * self.spec.window_m:g} m of track, so "
+            text += "nothing is mapped there; fly slower, or record more frames a second"
+            warnings.warn(text, UllageWarning, stacklevel=3)
 
     def _rendered(self) -> tuple[OccupancyMap, list[Surface], Bools]:
         self._work.finish()
         surfaces = self._tracker.confirmed()
         flown = (np.array(list(self._flown), float).reshape(-1, 2) + 0.5) * CELL_M
         radar = self._wavelength_m, self._fold_m
-        omap, kept = render(self.grid, surfaces, flown, self._silence.nats, *radar, self.spec)
+        omap, kept = render(self.grid, surfaces, flown, self._silence, *radar, self.spec)
         return omap, surfaces, kept
 
     def map(self) -> OccupancyMap:

@@ -8,10 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
 
 from ullage.arrays import Bools, Floats
 from ullage.grids import Grid
-from ullage.kernels.silence import Continuations, Residual, Sight, Walls, exclude, listen
+from ullage.kernels.silence import NEAR_BINS, Continuations, Residual, Sight, Walls, exclude, hear, listen
 from ullage.kernels.surface_cells import Plane
 from ullage.processing.likelihood.echoes import Echoes, Left, gains_of
 from ullage.processing.likelihood.keyframes import Keyframe
@@ -23,7 +24,9 @@ LOBE, DEPTH = 1, 1  # directions and bins about an echo that are its own
 NORMALS = 36  # of surfaces, over half a turn
 BENDS = 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0  # curvatures of surfaces [1/m]
 ROUNDS = 3  # of views, since surfaces that may stand somewhere hide what lies behind
-REACH_M = 5.0  # from which a wall seen square is surely received
+REACH_M, RANGE_M = 5.0, 0.1  # range up to which hearing is kept, and its steps
+CLEAR = 50.0  # energy of a mirror over what is received, from which no wall is there: one 10 dB weaker leads by 7 dB
+SIGMAS = 2.0  # by which mounts may be off
 PLACE_M = 0.2  # between places of the track
 CELL_M = 0.2  # least size of the cells in which surfaces are followed, for its time grows with the inverse cube
 HALF_M = 0.15  # half length of the shortest wall that counts: shorter ones scatter as poles do
@@ -42,9 +45,19 @@ class Silence:
         self._spec = spec
         self._levels: deque[float] = deque(maxlen=LATEST)
         self.nats = np.zeros((2, grid.size))
+        self._walls: dict[
+            tuple[int, int], tuple[int, NDArray[np.float32]]
+        ] = {}  # by place: keyframes, sum of logarithms
 
-    def add(self, key: Keyframe, echoes: Echoes, left: Left | None) -> None:
-        """Take what a keyframe received, without what its echoes explain elsewhere."""
+    def add(self, key: Keyframe, echoes: Echoes, left: Left | None, sigma_m: float) -> None:
+        """Take what a keyframe received, without what its echoes explain elsewhere.
+
+        Args:
+            key: the keyframe.
+            echoes: of it.
+            left: what these leave.
+            sigma_m: white error of its poses [m].
+        """
         if len(echoes):
             flatness = abs(1 - echoes.state[0, 2] * echoes.state[0, 0])
             self._levels.append(float(echoes.level[0]) / np.sqrt(max(flatness, LEAST_FLATNESS)))
@@ -53,13 +66,35 @@ class Silence:
         spec, rows = self._spec, np.bincount(key.aperture.sensor, minlength=len(key.aperture.axes))
         gains = gains_of(key.aperture, left.directions) ** 2 @ rows
         energy = _with_echoes(key, echoes, left.energy, gains)
-        expected = float(np.median(self._levels)) ** 2 * gains
-        residual = Residual(energy, left.clutter, expected, left.low, left.high, key.start_m, key.bin_m)
+        coherent = math.exp(-((4 * math.pi / key.wavelength_m * sigma_m) ** 2))
+        turned = 2 * round(SIGMAS * key.mount_sigma_rad / (2 * math.pi) * len(gains)) + 1
+        expected = float(np.median(self._levels)) ** 2 * coherent * minimum_filter1d(gains, turned, mode="wrap")
+        low, near = max(left.low, key.silent_bin), NEAR_BINS + round(SIGMAS * key.mount_sigma_m / key.bin_m)
+        residual = Residual(energy, left.clutter, expected, low, left.high, key.start_m, key.bin_m, near)
+        self._add_walls(key, residual)
         defocus_m = 2 * spec.window_m**2 / key.wavelength_m
         weight = spec.keyframe_m / (2 * spec.window_m)  # keyframes share frames
         edge_m = key.wavelength_m / (2 * math.pi**2)
         for radius_m, nats in zip((spec.least_obstacle_m / 2, edge_m), self.nats, strict=True):
             listen(self._plane, key.position[:2], residual, radius_m, defocus_m, weight, nats)
+
+    def _add_walls(self, key: Keyframe, residual: Residual) -> None:
+        x, y = np.floor(key.position[:2] / PLACE_M).astype(int).tolist()
+        ratio = np.zeros((2 * NORMALS, round(REACH_M / RANGE_M)), np.float32)
+        hear(residual, key.noise**2, RANGE_M, ratio)
+        count, total = self._walls.get((x, y), (0, np.zeros_like(ratio)))
+        self._walls[x, y] = count + 1, total + np.log1p(ratio)
+
+    def hearing(self) -> tuple[Floats, Bools]:
+        """Places (f, 2) of the track [m], and where a wall would have been received from there.
+
+        The second (f, n, m) is by direction over the circle and by range. A range counts with both its neighbours, as
+        cells are wider than its steps.
+        """
+        places = (np.array(list(self._walls), float).reshape(-1, 2) + 0.5) * PLACE_M
+        means = [total / count for count, total in self._walls.values()]
+        mean = np.array(means, np.float32).reshape(len(means), 2 * NORMALS, round(REACH_M / RANGE_M))
+        return places, minimum_filter1d(mean, 3, axis=2) >= math.log1p(CLEAR)
 
 
 def _with_echoes(key: Keyframe, echoes: Echoes, energy: NDArray[np.float32], gains: Floats) -> NDArray[np.float32]:
@@ -78,7 +113,9 @@ def _with_echoes(key: Keyframe, echoes: Echoes, energy: NDArray[np.float32], gai
     return out
 
 
-def without_surfaces(plane: Plane, flown: Floats, shown: Bools, free: Bools, possible: Bools, ends: Bools) -> Bools:
+def without_surfaces(
+    plane: Plane, hearing: tuple[Floats, Bools], shown: Bools, free: Bools, possible: Bools, ends: Bools
+) -> Bools:
     """Cells in which no smooth surface stands (cells).
 
     One that is seen square would have been received. Any other one goes on to both sides, as a plane or a cylinder,
@@ -86,7 +123,7 @@ def without_surfaces(plane: Plane, flown: Floats, shown: Bools, free: Bools, pos
 
     Args:
         plane: the cells.
-        flown: (f, 2) places of the track [m].
+        hearing: places of the track, and what would have been received from there, as of `Silence.hearing`.
         shown: (cells) of known surfaces, which end a line of sight.
         free: (cells) through which echoes came.
         possible: (cells) to look at; others end no line of sight.
@@ -104,19 +141,20 @@ def without_surfaces(plane: Plane, flown: Floats, shown: Bools, free: Bools, pos
 
     coarse, through = Plane(plane.x, plane.y, side * plane.step, rows, columns), blocks(free, whole=True)
     seen = blocks(possible | free, whole=True) & ~through
-    left = through | _left(coarse, flown, blocks(shown, whole=False), through, seen, blocks(ends, whole=False))
+    left = through | _left(coarse, hearing, blocks(shown, whole=False), through, seen, blocks(ends, whole=False))
     fine = np.repeat(np.repeat(left.reshape(rows, columns), side, axis=0), side, axis=1)
     return possible & fine[: plane.rows, : plane.columns].ravel()
 
 
-def _left(plane: Plane, flown: Floats, shown: Bools, free: Bools, possible: Bools, ends: Bools) -> Bools:
+def _left(
+    plane: Plane, hearing: tuple[Floats, Bools], shown: Bools, free: Bools, possible: Bools, ends: Bools
+) -> Bools:
     """The same, in cells of one size."""
-    places = (np.unique(np.floor(flown / PLACE_M), axis=0) + 0.5) * PLACE_M
     continuations = _continuations(plane.rows, plane.columns, plane.step)
     out, blocked = possible, shown
     for _ in range(ROUNDS):
         square = np.repeat(free[:, None], NORMALS, axis=1)
-        out, sight = out.copy(), Sight(places, blocked, REACH_M, HALF_M)  # more blocked views never exclude more
+        out, sight = out.copy(), Sight(*hearing, RANGE_M, blocked, HALF_M)  # more blocked views never exclude more
         exclude(plane, Walls(sight, square, free.copy(), ends, continuations), out)
         blocked = shown | (possible & ~out)
     return out
