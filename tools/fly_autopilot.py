@@ -43,7 +43,7 @@ PARAMETERS = {
     "FRAME_CLASS": 1, "FRAME_TYPE": 0, "PRX1_TYPE": 2, "AVOID_ENABLE": 7, "AVOID_MARGIN": MARGIN_M, "FS_THR_ENABLE": 0,
     "COMPASS_OFS_X": 5, "COMPASS_OFS_Y": 13, "COMPASS_OFS_Z": -18, "COMPASS_OFS2_X": 5, "COMPASS_OFS2_Y": 13,
     "COMPASS_OFS2_Z": -18, "COMPASS_OFS3_X": 5, "COMPASS_OFS3_Y": 13, "COMPASS_OFS3_Z": -18, "BATT_MONITOR": 4,
-    **{f"INS_ACC{k}{name}_{axis}": value for k in ("", "2", "3") for axis in "XYZ"
+    **{f"INS_ACC{k}{name}_{axis}": value for k in ("", "2") for axis in "XYZ"
        for name, value in (("OFFS", 0.001), ("SCAL", 1.001))},
     **{f"RC{k}_{end}": value for k in range(1, 9) for end, value in (("MIN", 1000), ("MAX", 2000), ("TRIM", 1500))},
 }  # fmt: skip
@@ -340,9 +340,8 @@ def measure(flight: Flight, case: Case, track: Any, x0: tuple[float, float, floa
     flight.ahead_m = float(track[-1, 1])
     flight.moved_m = float(np.linalg.norm(track[:, 1:] - x0, axis=1).max())
     flight.backwards_m = float(x0[0] - track[:, 1].min())
-    steps = track[10::10]  # half a second apart: SIM_STATE counts in centimetres
-    speeds = np.diff(steps[:, 1]) / np.maximum(np.diff(steps[:, 0]), 1e-3)
-    flight.fastest_m_s = float(speeds.max(initial=0.0))
+    steps = track[:: max(round(len(track) / max(track[-1, 0] - track[0, 0], 1.0)), 1)]  # a second apart
+    flight.fastest_m_s = float((np.diff(steps[:, 1]) / np.diff(steps[:, 0])).max(initial=0.0))
     flight.hit = bool(flight.closest_m < HULL_M)
 
 

@@ -1,0 +1,53 @@
+"""The runner of flights with an autopilot's own simulator: what it does without one, and how it measures a flight."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+
+import fly_autopilot
+from fly_autopilot import AHEAD_M, CASES, Flight, measure, table
+
+START = (0.0, 0.0, 1.5)
+
+
+def straight(to_m: float) -> object:
+    """Times and places of a level flight along +x, a tenth of a second apart."""
+    x = np.linspace(0, to_m, 200)
+    return np.stack([0.1 * np.arange(200), x, 0 * x, 0 * x + 1.5], axis=1)
+
+
+def test_without_a_binary_it_flies_nothing_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["fly_autopilot", "--binary", str(tmp_path / "none"), "--to", str(tmp_path)])
+    fly_autopilot.main()
+    assert "skipped: no program at" in capsys.readouterr().out
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", list(CASES))
+def test_a_flight_through_the_obstacle_is_a_hit_and_one_that_stops_is_none(name: str) -> None:
+    if CASES[name].passes or name == "hover in a hall":
+        return
+    through, before = Flight(name, "guided", 1.0), Flight(name, "guided", 1.0)
+    measure(through, CASES[name], straight(AHEAD_M + 3), START)
+    measure(before, CASES[name], straight(AHEAD_M - 2), START)
+    assert through.hit
+    assert not before.hit
+    assert before.closest_m == pytest.approx(2.0, abs=1.1)  # a slanted wall and a corner are nearer beside the path
+    assert through.fastest_m_s == pytest.approx((AHEAD_M + 3) / 19.9, rel=0.02)
+    assert "| hit |" in table([through, before])
+
+
+def test_a_gap_and_a_wall_beside_let_it_pass() -> None:
+    for name, away_m in (("gap 1.5 m", 0.75), ("gap 2.2 m", 1.1), ("wall 1 m beside", 1.0)):
+        flight = Flight(name, "guided", 1.0)
+        measure(flight, CASES[name], straight(AHEAD_M + 3), START)
+        assert not flight.hit
+        assert flight.closest_m == pytest.approx(away_m, abs=0.01)
