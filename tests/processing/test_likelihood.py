@@ -655,7 +655,8 @@ def test_silence_vouches_for_no_wall_in_a_direction_in_which_no_radar_looks():
     frames = flown(curve(), wall(90, 2.5), wall(0, 3.0, strength=1e-3))
     sides = mapped({name: frames[name] for name in ("left", "right")}).map()
     assert not sides.free[wall_cells(3.0)].any()
-    assert mapped(frames).map().free[wall_cells(2.4)].any(), "the radars ahead hear that far"
+    assert not sides.free[wall_cells(1.5, 0.3)].any()
+    assert mapped(frames).map().free[wall_cells(1.5, 0.3)].all(), "the radars ahead hear that far"
 
 
 def test_echoes_within_the_own_echo_count_and_silence_there_does_not():

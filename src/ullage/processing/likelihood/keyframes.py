@@ -130,7 +130,7 @@ class KeyframeSelector:
         if not self._channels:
             return
         self._leading = self._leading or next(iter(self._channels))
-        while self._leads() or self._hand_over():
+        while self._leads() or self._hand_over(finish=finish):
             rows = self._channels[self._leading].rows
             centre = rows[self._next]
             if self._last is not None and np.linalg.norm(centre.position - self._last.position) < self._spec.keyframe_m:
@@ -149,12 +149,12 @@ class KeyframeSelector:
         rows = self._channels[self._leading].rows
         return self._next < len(rows) and (self._last is None or rows[self._next].gap_ns <= GAP_NS)
 
-    def _hand_over(self) -> bool:
+    def _hand_over(self, *, finish: bool) -> bool:
         """Let another sensor lead where the frames of the leading one pause or end."""
         leader, last = self._channels[self._leading], self._last
         waits = self._next >= len(leader.rows)
         newest = max(channel.seen_ns for channel in self._channels.values())
-        if last is None or (waits and newest - leader.seen_ns <= LATEST_NS):
+        if last is None or (waits and newest - leader.seen_ns <= (GAP_NS if finish else LATEST_NS)):
             return False
         until_ns = newest if waits else leader.rows[self._next].t_ns
         for name, channel in self._channels.items():
