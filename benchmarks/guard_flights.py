@@ -158,6 +158,11 @@ def case_far_wall_slow(draw: np.random.Generator, speed: float) -> Case:
     return replace(case_far_wall(draw, speed), radar={"prf_div": 64, "iterations": 24})
 
 
+def case_far_wall_staggered(draw: np.random.Generator, speed: float) -> Case:
+    """The same with two pulse intervals in turn: the echo folds to two places."""
+    return replace(case_far_wall(draw, speed), radar={"stagger_div": 17})
+
+
 def case_sensor_lost(draw: np.random.Generator, speed: float) -> Case:
     return replace(case_head_on(draw, speed), lost_at_s=draw.uniform(1.0, 4.0))
 

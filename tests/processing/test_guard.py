@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from ullage.config import GuardSpec, make_scenario
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.flight.live import Steered, Wish
+from ullage.processing.bearings import CELLS
 from ullage.processing.braking import allowed_speed, distance_to_rest, stopping_distance
 from ullage.processing.guard import Guard, Limit
 from ullage.processing.obstacles import ObstacleSectors, ObstacleStage, ObstacleTracks
@@ -175,6 +176,20 @@ def test_what_ego_motion_shows_outside_the_lobe_limits_only_what_closes_on_it() 
     assert level.state == "free"
     down = settled(Guard(GuardSpec(), hull_m=HULL_M), (0, 0, -1), ("front", 0.9, 0.5), own=(0, 0, -0.5), outside=True)
     assert down.velocity[2] > -0.4
+
+
+def test_directions_bound_a_velocity_more_sharply_than_the_lobe() -> None:
+    """An obstacle ahead to the left, from a hover: the way to its right is free, the way to it is not."""
+    at = sectors(0, ("front", 0.8, 0.0))
+    cells = np.degrees(np.arccos(CELLS @ [math.cos(0.6), math.sin(0.6), 0.0])) < 10
+    seen = replace(at, tracks=replace(at.tracks, cells=cells[None]))
+    guard, other = Guard(GuardSpec(back_off_m_s=0), hull_m=HULL_M), Guard(GuardSpec(back_off_m_s=0), hull_m=HULL_M)
+    for row in range(68):
+        seen = replace(seen, t_ns=round(row * STEP_S * 1e9))
+        aside = guard.limit((0.3, -0.8, 0), seen, odometry())
+        towards = other.limit((0.8, 0.5, 0), seen, odometry())
+    assert aside.state == "free"
+    assert np.linalg.norm(towards.velocity) == pytest.approx(float(allowed_speed(0.1, GuardSpec())), rel=0.01)
 
 
 def test_an_obstacle_that_approaches_by_itself_costs_its_own_speed() -> None:

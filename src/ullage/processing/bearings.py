@@ -1,6 +1,6 @@
 """Where the echoes of range tracks may come from: a posterior over directions for each track.
 
-One radar measures no direction. Four kinds of evidence do, and one grid of directions holds them all:
+One radar measures no direction. Several kinds of evidence do, and one grid of directions holds them all:
 
 - Levels. A reflector in direction u would reach radar j at the level of track i plus the difference of their two-way
   gains, and at its range plus the difference of their lever arms. A peak of radar j there is evidence for u. Noise and
@@ -37,7 +37,7 @@ _WINDOW_M, _MOST = 0.35, 4  # within it, so many of the strongest echoes of anot
 _STRAY = 1e-4  # likelihood that no model explains: one radar alone excludes no direction for good
 _FLOORS = 10.0  # a floor or a ceiling is there more often than anything in a solid angle elsewhere
 _RARER_DB = 10.0  # reflectors that much stronger are rarer by a factor of e
-_KNOWN_HEIGHT = 100.0  # how much likelier an echo at the known height over the floor is the floor's
+_KNOWN_HEIGHT = 1e4  # how much likelier an echo at the known height over the floor is the floor's
 _HEIGHT_SIGMA_M = 0.1
 _MEMORY_M, _STEP_M = 0.5, 0.03  # path that the sums remember; frames so far apart count fully
 _INDEPENDENT, _RANGE_SIGMA_M = 3.0, 0.02  # errors of range on that path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from pymavlink.dialects.v20 import common as mav
 from ullage.geometry import quat_matrix, rpy_quat
 from ullage.ports.mavlink.dialect import CUSTOM, orientation_of
 from ullage.ports.mavlink.encode import distance_sensors, obstacle_distance, sector_distances
+from ullage.processing.bearings import CELLS
 from ullage.processing.obstacles import ObstacleSectors, ObstacleTracks
 
 UNKNOWN = 65535
@@ -108,6 +110,16 @@ def test_all_messages_name_the_limits_within_which_every_radar_sees() -> None:
     view = sectors([0.0, 90.0], [np.inf, np.inf], reach_m=[9.0, 4.0])
     assert decoded(obstacle_distance(view, 0)).max_distance == 400
     assert {decoded(one).max_distance for one in distance_sensors(view, 0)} == {400}
+
+
+def test_a_track_fills_the_elements_that_its_directions_touch_and_leaves_the_rest_of_the_lobe_free() -> None:
+    view = sectors([0.0], [2.0], width_deg=60)
+    cells = np.degrees(np.arccos(CELLS @ [math.cos(math.radians(20)), math.sin(math.radians(20)), 0.0])) < 1
+    view = replace(view, tracks=replace(view.tracks, cells=cells[None]))
+    found = sector_distances(view)
+    # the cell holds 17.5 to 22.5 degrees to the left: element -4 from there, and -5, which PX4 ends at 20 degrees
+    assert set(np.flatnonzero(found == 2.0)) == {72 - 4, 72 - 5}
+    assert set(np.flatnonzero(np.isinf(found))) == {j % 72 for j in range(-5, 6)} - {72 - 4, 72 - 5}
 
 
 def test_a_radar_that_points_down_fills_no_level_element() -> None:
