@@ -9,7 +9,7 @@ import io
 import json
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from ullage.errors import InputError, shown
 from ullage.untrusted import regular_size
 from ullage.world.notices import notify
 from ullage.world.polygons import plain_obj, triangle_corners
+from ullage.world.repair import repaired
 
 Mesh = tuple[Floats, Ints]
 
@@ -39,6 +40,9 @@ PLY_BYTES = {
     "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8,
 }  # fmt: skip
 FORMATS = (".dae", ".glb", ".gltf", ".obj", ".ply", ".stl")
+UNITLESS = (".obj", ".ply", ".stl")
+LARGEST_M = 100.0
+"""A longer mesh of no known unit is in millimetres [m]: the radar sees 10 m, and its halls and holds are shorter."""
 MOST_BYTES = 512 * 2**20
 MOST_FACES = 20_000_000
 MOST_EMPTY = 1_000_000
@@ -49,18 +53,20 @@ MOST_NODES = 100_000
 
 
 def load_mesh(path: Path, *, submesh: str = "", center: bool = False) -> Mesh:
-    """Vertices (v, 3) [m] and faces (f, 3) of a mesh file; as `read_mesh`."""
-    found = read_mesh(path, submesh=submesh, center=center)
+    """Vertices (v, 3) [m] and faces (f, 3) of a mesh file in metres; as `read_mesh`."""
+    found = read_mesh(path, submesh=submesh, center=center, scale=1.0)
     return found.vertices, found.faces
 
 
-def read_mesh(path: Path, *, submesh: str = "", center: bool = False) -> MeshFile:
-    """Read a mesh file, with the normals that it gives to its corners.
+def read_mesh(path: Path, *, submesh: str = "", center: bool = False, scale: float | None = None) -> MeshFile:
+    """Read a mesh file, with the normals that it gives to its corners, and repair it.
 
     Args:
         path: the file; its suffix gives the format.
         submesh: take only the part with this name.
         center: move the part's bounding box onto the origin.
+        scale: metres in a unit of the file, which its own unit multiplies. None: 1, but 0.001 for a file without
+            a unit (.obj, .ply, .stl) that is over `LARGEST_M` units long, with a warning.
 
     Raises:
         InputError: the file is missing, too large, broken, of an unknown format, or without triangles.
@@ -82,7 +88,7 @@ def read_mesh(path: Path, *, submesh: str = "", center: bool = False) -> MeshFil
         raise InputError("the mesh has a vertex that is not finite", where=path)
     if center:
         vertices = vertices - (vertices.min(0) + vertices.max(0)) / 2
-    return cleaned(MeshFile(vertices, faces, whole.corner_normals), where=str(path))
+    return mended(_scaled(MeshFile(vertices, faces, whole.corner_normals), scale, path), where=str(path))
 
 
 def joined(parts: list[MeshFile]) -> MeshFile:
@@ -98,24 +104,30 @@ def joined(parts: list[MeshFile]) -> MeshFile:
     return MeshFile(np.concatenate([part.vertices for part in parts]), faces, normals)
 
 
-def cleaned(mesh: MeshFile, *, where: str) -> MeshFile:
-    """Remove faces without area from a mesh, with a warning that counts them.
+def mended(mesh: MeshFile, *, where: str) -> MeshFile:
+    """Repair a mesh as `repair.repaired` does, with a warning in one line if something was wrong.
 
     Raises:
-        InputError: no face is left.
+        InputError: no triangle has an area.
     """
-    vertices, faces, normals = mesh.vertices, mesh.faces, mesh.corner_normals
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    longest = np.maximum(np.maximum(((b - a) ** 2).sum(1), ((c - b) ** 2).sum(1)), ((a - c) ** 2).sum(1))
-    flat = np.linalg.norm(np.cross(b - a, c - a), axis=1) <= 1e-9 * longest
-    if flat.all():
+    found = repaired(mesh.vertices, mesh.faces, mesh.corner_normals)
+    if not len(found.faces):
         raise InputError("no triangle of the mesh has an area", where=where)
-    if flat.any():
-        some = f"{int(flat.sum())} degenerate triangle{'s' if flat.sum() > 1 else ''} of {len(faces)}"
-        notify(f"{where}: {some} left out", kind="degenerate triangles")
-        faces = faces[~flat]
-        normals = None if normals is None else normals[~flat]
-    return MeshFile(vertices, np.ascontiguousarray(faces, np.int32), normals)
+    if found.report:
+        notify(f"{where}: {found.report}", kind="repaired mesh")
+    return MeshFile(found.vertices, found.faces, found.corner_normals)
+
+
+def _scaled(mesh: MeshFile, scale: float | None, path: Path) -> MeshFile:
+    """Bring the mesh to metres; a file without a unit that would be larger than any place is taken in millimetres."""
+    if scale is None:
+        size = float(np.ptp(mesh.vertices[mesh.faces.ravel()], axis=0).max())
+        if size <= LARGEST_M or path.suffix.lower() not in UNITLESS:
+            return mesh
+        what = f"{size:.4g} units long: taken in millimetres; give scale=1 if it is in metres"
+        notify(f"{path}: {what}", kind="unit of a mesh")
+        scale = 1e-3
+    return replace(mesh, vertices=mesh.vertices * scale)
 
 
 def _parts(path: Path) -> list[tuple[set[str], MeshFile]]:
