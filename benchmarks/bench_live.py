@@ -48,14 +48,11 @@ class Slow:
     """
 
     def __init__(self, share: float) -> None:
-        self.share, self.last_ns = share, 0
+        self.share = share
 
     def update(self, chunk: dict[str, ul.Frames]) -> Iterable[Any]:
         """Sleep."""
-        now_ns = max(int(part.t_ns[-1]) for part in chunk.values())
-        if self.last_ns:
-            time.sleep(self.share * (now_ns - self.last_ns) * 1e-9)
-        self.last_ns = now_ns
+        time.sleep(self.share * max(len(part) / part.spec.fps for part in chunk.values()))
         return ()
 
     def finish(self) -> Iterable[Any]:
