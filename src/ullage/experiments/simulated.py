@@ -116,8 +116,10 @@ def load_world(spec: WorldSpec) -> Scene:
     if bool(spec.name) == bool(spec.file):
         raise InputError("a scenario wants either world.name or world.file", where="world", allowed=", ".join(WORLDS))
     if spec.file:
-        how = {"search_path": spec.search_path, "missing": spec.missing}
-        return load_scene(spec.file, geometry=spec.geometry, origin_m=spec.origin_m, **how)
+        return load_scene(
+            spec.file, geometry=spec.geometry, search_path=spec.search_path, missing=spec.missing,
+            origin_m=spec.origin_m,
+        )  # fmt: skip
     if spec.name not in WORLDS:
         raise InputError(f"no world {spec.name!r}", where="world.name", allowed=", ".join(WORLDS))
     return load_scene(WORLDS[spec.name].path, geometry=spec.geometry, origin_m=spec.origin_m)
