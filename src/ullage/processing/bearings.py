@@ -152,7 +152,7 @@ def _louder(echoes: Echoes, level_db: Floats) -> Floats:
     """Which louder tracks (m, m) of other radars may be of the same reflector: as likely as a reflector of its own."""
     radar, at = np.asarray(echoes.radar), echoes.range_m
     same = (radar[:, None] != radar) & (np.abs(at[:, None] - at) < _WINDOW_M) & (level_db[:, None] < level_db)
-    return same.astype(float)
+    return np.asarray(same.astype(float))
 
 
 def credible(chance: Floats) -> Bools:
