@@ -59,6 +59,10 @@ class WorldSpec(Spec):
     origin_m: tuple[float, float, float] | None = Field(
         None, description="point of the file that becomes the origin [m]; none: its own, or near a far scene's centre"
     )
+    scale: float | None = Field(None, gt=0, description="metres in a unit of a bare mesh file; none: guessed, and said")
+    smooth: Literal["auto", "yes", "no"] | None = Field(
+        None, description="facets stand for curved surfaces; none: as the file says of each object, or auto"
+    )
 
 
 class GuardSpec(Spec):

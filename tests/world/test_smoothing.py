@@ -8,13 +8,17 @@ import trimesh
 
 from ullage.arrays import Floats, Ints
 from ullage.world import point_normal, shapes, smoothing
+from ullage.world.materials import material
+from ullage.world.scene import SceneObject
+
+AUTO = smoothing.creases([SceneObject("thing", material("pec"))])
 
 
 def bent(mesh: tuple[Floats, Ints]) -> tuple[Floats, Floats, Floats]:
     """Corners, corner normals and displacements of a mesh whose vertices are welded."""
     vertices, faces = mesh
     corners, ids = np.asarray(vertices, float)[faces], np.asarray(faces, np.int64)
-    found = smoothing.hinges(corners, ids, np.zeros(len(faces), np.int32))
+    found = smoothing.hinges(corners, ids, np.zeros(len(faces), np.int32), AUTO)
     normals = smoothing.corner_normals(corners, found)
     return corners, normals, point_normal.displacements(corners, normals, found)
 
@@ -100,7 +104,7 @@ def test_a_cone_is_straight_along_and_round_across():
 def test_normals_given_count_where_the_facets_agree():
     vertices, faces = shapes.sphere(0.3, edge_m=0.15)
     corners, ids = vertices[faces], faces.astype(np.int64)
-    found = smoothing.hinges(corners, ids, np.zeros(len(faces), np.int32))
+    found = smoothing.hinges(corners, ids, np.zeros(len(faces), np.int32), AUTO)
     tilted = corners / 0.3 + [0.1, 0.0, 0.0]
     tilted /= np.linalg.norm(tilted, axis=2, keepdims=True)
     assert np.array_equal(smoothing.corner_normals(corners, found, tilted), tilted)
@@ -114,7 +118,7 @@ def test_normals_given_count_where_the_facets_agree():
 def test_facets_beside_a_known_shape_take_its_normals_where_they_continue_it():
     vertices, faces = shapes.sphere(0.3, edge_m=0.15)
     corners, ids = vertices[faces], faces.astype(np.int64)
-    found = smoothing.hinges(corners, ids, np.zeros(len(faces), np.int32))
+    found = smoothing.hinges(corners, ids, np.zeros(len(faces), np.int32), AUTO)
     for tilt, taken in ((0.1, True), (0.9, False)):
         truth = corners / 0.3 + [tilt, 0.0, 0.0]
         truth /= np.linalg.norm(truth, axis=2, keepdims=True)

@@ -118,11 +118,11 @@ def load_world(spec: WorldSpec) -> Scene:
     if spec.file:
         return load_scene(
             spec.file, geometry=spec.geometry, search_path=spec.search_path, missing=spec.missing,
-            origin_m=spec.origin_m,
+            origin_m=spec.origin_m, scale=spec.scale, smooth=spec.smooth,
         )  # fmt: skip
     if spec.name not in WORLDS:
         raise InputError(f"no world {spec.name!r}", where="world.name", allowed=", ".join(WORLDS))
-    return load_scene(WORLDS[spec.name].path, geometry=spec.geometry, origin_m=spec.origin_m)
+    return load_scene(WORLDS[spec.name].path, geometry=spec.geometry, origin_m=spec.origin_m, smooth=spec.smooth)
 
 
 def fly_scenario(scenario: Scenario, scene: Scene, *, rate_hz: float, progress: Progress | None = None) -> Trajectory:

@@ -149,6 +149,10 @@ def _with_flight(
     from ullage.experiments.simulated import load_world, radars_and_world, waypoints_of
 
     scene = load_world(scenario.world)
+    curved = [f"{name} {share:.0%}" for name, share in scene.curved().items() if share >= 0.005]
+    if curved:
+        more = f" and {len(curved) - 6} more" if len(curved) > 6 else ""
+        log(f"facets taken as curved surfaces: {', '.join(curved[:6])}{more}; -o world.smooth=no takes them as flat")
     if len(scene.rigs) == 1 and not is_set_by(options, "sensing.rig"):
         scenario = scenario.but(sensing=scenario.sensing.but(rig="declared"))
     if scenario.flight.waypoints:

@@ -1,6 +1,6 @@
 """Edges of conductors: where physical optics is corrected for the currents that bend around them.
 
-Every straight edge at which a conducting mesh ends, or turns by more than `TURN_DEG`, is a wedge whose free space has
+Every straight edge at which a conducting mesh ends, or turns by more than its crease, is a wedge whose free space has
 an angle n pi: n = 2 at the rim of a sheet, 1.5 at the edge of a box. The fringe currents of that wedge
 [Michaeli1986], [Ufimtsev2007] are added to first-bounce echoes. Left out: inner corners (n < 1), edges that another
 surface touches, edges of what lets waves through, and bodies narrower than a quarter wave.
@@ -21,12 +21,11 @@ from ullage.radar.solids import welded
 from ullage.radar.wires import moved
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
+from ullage.world.smoothing import creases, goes_on
 
 if TYPE_CHECKING:
     from scipy.sparse import coo_array
 
-TURN_DEG = 40.0
-"""A mesh that turns by less at an edge stands for a smooth surface [deg]."""
 NARROW = 0.25
 """Faces narrower than this part of a wave are the side of a thin plate, or no face at all."""
 _AROUND_M = 0.01  # nothing may cut a circle of this radius about an edge
@@ -177,10 +176,14 @@ def _edges(scene: Scene, chosen: Bools) -> Edges:
     first, count = _grouped(edge)
     order = np.lexsort((edge[:, 1], edge[:, 0]))
     inward = _inward(corners, normals)
-    pairs = _wedges(order, first, count, inward)
+    limits = creases(scene.objects)
+    a, b = order[first[count == 2]], order[first[count == 2] + 1]
+    even = goes_on(corners, a, b, object_ids, limits)
+    crease = np.radians(limits.deg[object_ids[tri]])
+    pairs = _wedges(np.stack([a, b], 1)[~even], order, first, count, inward, crease)
     if not len(pairs):
         return _none()
-    smooth = _smooth(order, first, count, inward, tri, len(corners))
+    smooth = _smooth(tri[a[even]], tri[b[even]], len(corners))
     lead = pairs[:, 0]
     a, b = corners.reshape(-1, 3)[lead], corners.reshape(-1, 3)[lead - lead % 3 + (lead + 1) % 3]
     into = inward[pairs]
@@ -256,12 +259,13 @@ def _inward(corners: Floats, normals: Floats) -> Floats:
     return np.asarray(out.reshape(-1, 3))
 
 
-def _wedges(order: Longs, first: Longs, count: Longs, inward: Floats) -> Longs:
-    """Half edges (w, 2) of the two faces that bound the open side of each edge; twice the same at a rim."""
+def _wedges(folded: Longs, order: Longs, first: Longs, count: Longs, inward: Floats, crease: Floats) -> Longs:
+    """Half edges (w, 2) of the two faces that bound the open side of each edge; twice the same at a rim.
+
+    `folded` (n, 2) are those where just two faces meet in a crease; where more do, the open side has a bend (h) [rad].
+    """
     alone = order[first[count == 1]]
-    two = np.stack([order[first[count == 2]], order[first[count == 2] + 1]], 1)
-    folded = _turn(inward[two[:, 0]], inward[two[:, 1]]) > TURN_DEG
-    out = [np.stack([alone, alone], 1), two[folded]]
+    out = [np.stack([alone, alone], 1), folded]
     for start, many in zip(first[count > 2], count[count > 2], strict=True):
         halves = order[start : start + many]
         into = inward[halves]
@@ -271,26 +275,18 @@ def _wedges(order: Longs, first: Longs, count: Longs, inward: Floats) -> Longs:
         rank = np.argsort(angle)
         gap = np.diff(np.r_[angle[rank], angle[rank[0]] + 2 * np.pi])
         widest = int(gap.argmax())
-        if gap[widest] > np.pi + np.radians(TURN_DEG):
+        if gap[widest] > np.pi + crease[halves[0]]:
             out.append(halves[rank[[widest, (widest + 1) % many]]][None])
     wedges = np.concatenate(out).astype(np.int64)
     return wedges[np.argsort(wedges.min(1))]  # in an order that does not depend on coordinates
 
 
-def _turn(a: Floats, b: Floats) -> Floats:
-    """By how much a surface turns where its parts leave an edge along a and b [deg]."""
-    cosine = np.clip(-np.einsum("ni,ni->n", a, b), -1, 1)
-    return np.asarray(np.degrees(np.arccos(cosine)))
-
-
-def _smooth(order: Longs, first: Longs, count: Longs, inward: Floats, tri: Longs, many: int) -> Longs:
-    """Which smooth piece of surface each triangle belongs to."""
+def _smooth(a: Longs, b: Longs, many: int) -> Longs:
+    """Number the smooth pieces of so many triangles, where those of `a` (n) go over into those of `b` (n)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    a, b = order[first[count == 2]], order[first[count == 2] + 1]
-    held = _turn(inward[a], inward[b]) <= TURN_DEG
-    links = coo_array((np.ones(held.sum(), np.int8), (tri[a[held]], tri[b[held]])), shape=(many, many))
+    links = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(many, many))
     return np.asarray(connected_components(links, directed=False)[1], np.int64)
 
 

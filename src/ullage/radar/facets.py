@@ -12,9 +12,10 @@ from scipy.sparse.csgraph import connected_components
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels.facets import BALL
-from ullage.radar.solids import EVEN, Backs, backs, welded
+from ullage.radar.solids import EVEN, Backs, Faces, backs, behind_skins, welded
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
+from ullage.world.smoothing import Creases, creases, goes_on
 
 FLAT_M = 0.11
 """Flat faces at least this long are done by their rims and mirror waves [m]: squares of two waves of the X4M05.
@@ -25,8 +26,6 @@ STRIP_M = 0.15
 """The same for facets of curved surfaces [m]: shorter ones cost less as triangles, and none is a mirror."""
 MIRROR_CORNERS = 12
 """Convex outlines with more corners than this mirror in slices."""
-SMOOTH_DEG = 25.0
-"""Faces of one object that meet at less than this are facets of a curved surface [deg]."""
 ROUNDED = (1e-5, 1e-7, 1e-9)
 """So far off one plane may corners be, as a share of their triangles' size; the next where a patch so bends."""
 SINGLE = 2.0**-24
@@ -85,6 +84,7 @@ class Surfaces:
     faces: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (f) face of the scene of each triangle
     flat_faces: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (m) faces of the scene in flat faces
     flat_at: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (m) and in which flat face each is
+    spare: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # faces of the scene behind skins
     split: dict[bytes, tuple[Raycaster, TransmissiveFaces | None]] = field(default_factory=dict)
     home: Surfaces | None = None  # these before they moved
     poses: Floats | None = None  # (o, 4, 4) of the objects, when they have moved
@@ -122,9 +122,10 @@ def gather(scene: Scene, faces: Bools) -> Surfaces:
     rays = Raycaster(part)
     corners, normals, object_ids = corners[index], cross[index] / (2 * area[index, None]), scene.face_object[index]
     patch = coplanar(corners, normals, object_ids)
-    bends = slight_bends(corners, normals, object_ids, patch)
+    bends = slight_bends(corners, object_ids, patch, creases(scene.objects))
     large = (_extents(corners, patch) >= np.where(bends > 0, STRIP_M, FLAT_M))[patch]
     sides = backs(corners, normals, object_ids)
+    sides, spare = behind_skins(sides, corners, normals, Faces(patch, object_ids), rays)
     planar = _planar(corners[large], normals[large], object_ids[large], patch[large], bends[patch[large]] > 1)
     lead, at = np.unique(patch[large], return_index=True, return_inverse=True)[1:]
     small = np.flatnonzero(~large)
@@ -133,7 +134,7 @@ def gather(scene: Scene, faces: Bools) -> Surfaces:
     mine = np.ascontiguousarray(corners[small])
     return Surfaces(mine, np.ascontiguousarray(normals[small]), object_ids[small].copy(), _spheres(mine, first), first,
                     sides.take(small), planar, sides.take(np.flatnonzero(large)[lead]), rays, part, index[small],
-                    index[large], at.astype(np.int64))  # fmt: skip
+                    index[large], at.astype(np.int64), index[spare])  # fmt: skip
 
 
 def strewn(corners: Floats, normals: Floats, object_ids: Ints, sides: Backs, home: Surfaces) -> tuple[Surfaces, Longs]:
@@ -148,13 +149,18 @@ def strewn(corners: Floats, normals: Floats, object_ids: Ints, sides: Backs, hom
 
 def twins(corners: Floats) -> tuple[Longs, Longs]:
     """Pairs of triangles (f, 3, 3) that share an edge."""
+    a, b = twin_edges(corners)
+    return a // 3, b // 3
+
+
+def twin_edges(corners: Floats) -> tuple[Longs, Longs]:
+    """Pairs of half edges of triangles (f, 3, 3) in one place: triangle times 3, and the corner each begins at."""
     tri = welded(corners)
     after = np.roll(tri, -1, 1)
     edge = (np.minimum(tri, after) * (int(tri.max(initial=0)) + 1) + np.maximum(tri, after)).ravel()
     order = np.argsort(edge, kind="stable")
-    edge, face = edge[order], order // 3
-    twin = np.flatnonzero(edge[1:] == edge[:-1])
-    return face[twin], face[twin + 1]
+    twin = np.flatnonzero(np.diff(edge[order]) == 0)
+    return order[twin], order[twin + 1]
 
 
 def coplanar(corners: Floats, normals: Floats, object_ids: Ints) -> Longs:
@@ -220,18 +226,18 @@ def _planes(corners: Floats, normals: Floats, patch: Longs) -> tuple[Floats, Flo
     return normal, np.asarray(middle)
 
 
-def slight_bends(corners: Floats, normals: Floats, object_ids: Ints, patch: Longs) -> Longs:
-    """Count the edges over which each patch continues with hardly a bend: facets of a curved surface have two or more.
+def slight_bends(corners: Floats, object_ids: Ints, patch: Longs, limits: Creases) -> Longs:
+    """Count the edges over which each patch continues without a crease: facets of a curved surface have two or more.
 
     Those at its rim may have only one.
     """
     count = int(patch.max()) + 1 if len(patch) else 0
     if not count:
         return np.zeros(0, np.int64)
-    a, b = twins(corners)
-    bend = abs(np.einsum("ni,ni->n", normals[a], normals[b]))
-    goes_on = (patch[a] != patch[b]) & (object_ids[a] == object_ids[b]) & (bend > np.cos(np.deg2rad(SMOOTH_DEG)))
-    return np.bincount(np.concatenate([patch[a[goes_on]], patch[b[goes_on]]]), minlength=count)
+    a, b = twin_edges(corners)
+    smooth = (patch[a // 3] != patch[b // 3]) & (object_ids[a // 3] == object_ids[b // 3])
+    smooth &= goes_on(corners, a, b, object_ids, limits)
+    return np.bincount(patch[np.concatenate([a[smooth], b[smooth]]) // 3], minlength=count)
 
 
 def _extents(corners: Floats, patch: Longs) -> Floats:

@@ -75,11 +75,12 @@ def patches_of(scene: Scene, part: Surfaces, known: Floats, *, wavelength_m: flo
     row = np.concatenate([np.arange(len(part.faces)), len(part.faces) + part.flat_at])  # small ones, then flats
     corners, object_ids = scene.corners()[faces], scene.face_object[faces]
     ids = welded(corners)
-    found = smoothing.hinges(corners, ids, object_ids)
+    limits = smoothing.creases(scene.objects)
+    found = smoothing.hinges(corners, ids, object_ids, limits)
     if not len(found):
         return None
     given = None if scene.corner_normals is None else scene.corner_normals[faces]
-    normals = smoothing.corner_normals(corners, found, given, known[faces])
+    normals = smoothing.corner_normals(corners, found, given, known[faces], crease_deg=limits.deg[object_ids])
     control = point_normal.displacements(corners, normals, found)
     claimed = known[faces].any((1, 2))
     edge, side = np.nonzero(~claimed[found.faces] & claimed[found.faces[:, ::-1]])

@@ -12,12 +12,13 @@ import numpy as np
 from ullage.arrays import Floats, Longs
 from ullage.geometry import invert
 from ullage.radar.diffraction import sharp_edges
-from ullage.radar.facets import Surfaces, gather
+from ullage.radar.facets import Surfaces, gather, only
 from ullage.radar.movers import Movers
 from ullage.radar.patches import Patches, patches_of
 from ullage.radar.quadrics import Quadric, SmoothSurface, quadrics_of, smooth_surfaces_of, with_caps
 from ullage.radar.spheres import Sphere, spheres_of
 from ullage.world import smoothing
+from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
 
@@ -36,7 +37,12 @@ class Prepared:
         self.diffuse_scatterers: dict[int, Any] = {}  # scatterers of rough surfaces, by seed
         self._patches: dict[tuple[float, float], list[Patches | None]] = {}
         self._moved_patches: tuple[tuple[tuple[float, float], bytes], Patches] | None = None
-        self.edges = sharp_edges(scene, self.still.rays)
+        spare = np.concatenate([part.spare for part in self._at_start()])
+        if len(spare):  # two skins of a sheet have the edges of one
+            kept = np.delete(np.arange(len(scene.faces)), spare)
+            self.edges = sharp_edges(only(scene, kept), Raycaster(only(scene, kept[~self.moving[kept]])))
+        else:
+            self.edges = sharp_edges(scene, self.still.rays)
 
     @cached_property
     def quadrics(self) -> tuple[Quadric, ...]:

@@ -16,8 +16,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ullage.arrays import Bools, Floats, Ints, Longs
-from ullage.radar.facets import SMOOTH_DEG, twins
+from ullage.radar.facets import twin_edges
 from ullage.world.scene import Scene
+from ullage.world.smoothing import CREASES_DEG, Creases, creases, goes_on
 
 OFF_M = 2.5e-3
 """Largest distance of facet corners from the cylinder [m]: a sixteenth of a wavelength."""
@@ -25,7 +26,10 @@ LEAST_M = 0.08
 """Least radius and length of a fitted surface [m]: two wavelengths; smaller ones do not reflect like mirrors."""
 _LEVEL = 0.02  # facets whose normals have a larger component along the axis belong to an end cap
 _MOST = 0.35  # a cylinder needs this share of the smooth surface: the belt of a sphere has less
-_DEEP = 0.05  # facets that bend by `SMOOTH_DEG` lie inside the sphere by half of this share of its radius
+_DEEP = 0.05  # facets of a sphere lie inside it by less than this share of its radius
+_BENT = np.cos(np.deg2rad(CREASES_DEG["auto"]))  # facets of a sphere are square to its radii so far
+_ONE = Creases(np.array([CREASES_DEG["yes"]]), np.array([np.cos(np.deg2rad(CREASES_DEG["yes"]))]), np.array([2]))
+"""Of a surface that is smooth already."""
 _ARC_DEG = 100.0  # a smaller arc of a circle reflects nothing to its own opposite side
 _FEWEST = 16  # triangles
 _SAME_RAD = 1e-4  # lines along the axis that are closer than this count as one
@@ -101,7 +105,7 @@ def smooth_surfaces_of(scene: Scene, faces: Bools) -> list[SmoothSurface]:
     )
     index = np.flatnonzero(faces)[kept]
     return [SmoothSurface(corners[mine], normals[mine], area[mine], int(object_ids[mine[0]]), index[mine])
-            for mine in _connected(corners, normals, object_ids)]  # fmt: skip
+            for mine in _connected(corners, object_ids, creases(scene.objects))]  # fmt: skip
 
 
 def quadrics_of(surfaces: Sequence[SmoothSurface]) -> tuple[Quadric, ...]:
@@ -158,18 +162,17 @@ def _caps(wall: Quadric, triangles: Floats, sides: cKDTree) -> Floats:
 
 def connected_parts(surface: SmoothSurface) -> list[Longs]:
     """Split a surface into its connected parts."""
-    return _connected(surface.corners, surface.normals, np.full(len(surface.area), surface.object_id, np.int32))
+    return _connected(surface.corners, np.zeros(len(surface.area), np.int32), _ONE)
 
 
-def _connected(corners: Floats, normals: Floats, object_ids: Ints) -> list[Longs]:
-    """Group triangles (f, 3, 3) of one object into surfaces without sharp bends."""
+def _connected(corners: Floats, object_ids: Ints, limits: Creases) -> list[Longs]:
+    """Group triangles (f, 3, 3) of one object into surfaces without creases."""
     if not len(corners):
         return []
-    a, b = twins(corners)
-    on = (object_ids[a] == object_ids[b]) & (
-        abs(np.einsum("ni,ni->n", normals[a], normals[b])) > np.cos(np.deg2rad(SMOOTH_DEG))
-    )
-    links = coo_array((np.ones(on.sum(), np.int8), (a[on], b[on])), shape=(len(corners), len(corners)))
+    a, b = twin_edges(corners)
+    smooth = (object_ids[a // 3] == object_ids[b // 3]) & goes_on(corners, a, b, object_ids, limits)
+    a, b = a[smooth] // 3, b[smooth] // 3
+    links = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(len(corners), len(corners)))
     count, name = connected_components(links, directed=False)
     order = np.argsort(name, kind="stable")
     groups = np.split(order, np.cumsum(np.bincount(name, minlength=count))[:-1])
@@ -280,7 +283,7 @@ def _fit_sphere(corners: Floats, normals: Floats, area: Floats, object_id: int) 
     if np.ptp(away) > 2 * OFF_M or away.mean() < LEAST_M or area.sum() < _MOST * whole:
         return None
     out = corners.mean(1) - centre
-    if (abs((out * normals).sum(1)) < np.cos(np.deg2rad(SMOOTH_DEG)) * np.linalg.norm(out, axis=1)).any():
+    if (abs((out * normals).sum(1)) < _BENT * np.linalg.norm(out, axis=1)).any():
         return None
     gaps = np.linalg.norm((corners + np.roll(corners, 1, 1)) / 2 - centre, axis=2)
     radius = float(np.sum(area * gaps.mean(1)) / area.sum())

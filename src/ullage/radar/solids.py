@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,22 +13,27 @@ from scipy.sparse.csgraph import connected_components
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels import outlines as kernel
+from ullage.world.raycast import Raycaster
+from ullage.world.smoothing import welded
 
-WELD_M = 1e-6
-"""Corners nearer than this are one [m]."""
+SKIN_M = 2e-3
+"""Two skins of one sheet are no farther apart [m]; it is the slack of rays."""
+LEAVE_M = 1e-5
+"""Surfaces nearer than this are in one place, but for rounding [m]."""
+PARALLEL = 0.98
+"""Least cosine between the normals of two skins."""
+_SPREAD = np.concatenate([np.full((1, 3), 1 / 3), np.eye(3) * 0.94 + 0.02, 0.49 - np.eye(3) * 0.47])
+"""Where triangles are asked for skins before them: the middle, near the corners, near the middles of the sides."""
 EVEN = 1e-6
 """Sizes that differ by a smaller share are equal: no rounding of coordinates chooses between them."""
 _CLEAR_M = 1e-3  # a radar this far outside a body's box is outside the body
 
 
-def welded(corners: Floats) -> Longs:
-    """Numbers (f, 3) of the corners of triangles (f, 3, 3), the same for corners in one place."""
-    places = np.round(corners.reshape(-1, 3) / WELD_M).astype(np.int64)
-    ids = np.zeros(len(places), np.int64)
-    for k in range(3):  # one coordinate after the other: sorting numbers is ten times faster than sorting rows
-        _, row = np.unique(places[:, k], return_inverse=True)
-        _, ids = np.unique(ids * (int(row.max(initial=0)) + 1) + row, return_inverse=True)
-    return np.asarray(ids.reshape(-1, 3), np.int64)
+class Faces(NamedTuple):
+    """What triangles belong to."""
+
+    patch: Longs  # (f) flat face of each
+    object_ids: Ints  # (f) object of each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +116,56 @@ def backs(corners: Floats, normals: Floats, object_ids: Ints) -> Backs:
     outward[:, :3] = sign[:, None] * normals
     outward[:, 3] = -np.einsum("ni,ni->n", outward[:, :3], corners[:, 0])
     return Backs(outward, body.astype(np.int32), _boxes(corners, normals, body, total))
+
+
+def behind_skins(sides: Backs, corners: Floats, normals: Floats, faces: Faces, rays: Raycaster) -> tuple[Backs, Bools]:
+    """Find the triangles that others of their object cover within `SKIN_M`: skins of one sheet.
+
+    Seen from the side of one skin the other is hidden, whatever the slack of rays.
+
+    Args:
+        sides: outer sides of the triangles (f), by closed bodies.
+        corners: (f, 3, 3) [m].
+        normals: (f, 3).
+        faces: what the triangles belong to.
+        rays: over all of them, by the same numbers.
+
+    Returns:
+        The outer sides, where skins have theirs too; which triangles (f) lie behind a skin of a lower number.
+    """
+    over, under = (_skins(corners, sign * normals, faces, rays) for sign in (1, -1))
+    outer = np.einsum("fi,fi->f", sides.outward[:, :3], normals)  # 1, -1, or 0 for faces of no closed body
+    covered = (over >= 0) & (outer >= 0), (under >= 0) & (outer <= 0)
+    some = np.flatnonzero(covered[0] | covered[1])
+    spare = np.zeros(len(corners), bool)
+    if not len(some):
+        return sides, spare
+    spare[some] = (outer[some] == 0) & (np.maximum(over, under)[some] < some)
+    outward, body = sides.outward.copy(), sides.body.copy()
+    turn = covered[1][some].astype(float) - covered[0][some]
+    outward[some, :3] = turn[:, None] * normals[some]
+    outward[some, 3] = -np.einsum("ni,ni->n", outward[some, :3], corners[some, 0]) - (turn == 0)
+    body[some] = len(sides.boxes.centres)
+    nowhere = Boxes(np.zeros((1, 3)), np.eye(3)[None], np.full((1, 3), -1.0))
+    rows = (np.concatenate([getattr(b, f.name) for b in (sides.boxes, nowhere)]) for f in fields(Boxes))
+    return Backs(outward, body, Boxes(*rows)), spare
+
+
+def _skins(corners: Floats, normals: Floats, faces: Faces, rays: Raycaster) -> Longs:
+    """Lowest face of the same object close before triangles (f, 3, 3), toward normals (f, 3); -1 where not all over."""
+    out = np.full(len(corners), np.iinfo(np.int64).max)
+    todo = np.arange(len(corners))
+    for share in _SPREAD:
+        points, ahead = np.einsum("k,nki->ni", share, corners[todo]), normals[todo]
+        near = np.flatnonzero(~rays.visible(points, points + SKIN_M * ahead, slack_m=0.0, leave_m=LEAVE_M))
+        met, far, cosine = rays.trace(points[near] + LEAVE_M * ahead[near], ahead[near])
+        skin = (far < SKIN_M) & (faces.object_ids[met] == faces.object_ids[todo[near]]) & (cosine > PARALLEL)
+        out[todo[near[skin]]] = np.minimum(out[todo[near[skin]]], met[skin])
+        bare = np.delete(todo, near[skin])
+        todo = todo[~np.isin(faces.patch[todo], faces.patch[bare])]
+    kept = np.full(len(corners), -1)
+    kept[todo] = out[todo]
+    return kept
 
 
 def _boxes(corners: Floats, normals: Floats, body: NDArray[np.integer], total: int) -> Boxes:

@@ -16,10 +16,11 @@ from ullage import checks
 from ullage.config import split_source
 from ullage.errors import InputError, UllageWarning, shown
 from ullage.untrusted import reading, regular_size
-from ullage.world.lengths import LARGEST_M
+from ullage.world.lengths import LARGEST_M, length
 from ullage.world.meshes import FORMATS, read_mesh
 from ullage.world.scene import Scene
 from ullage.world.sdf_parse import FURTHEST_M
+from ullage.world.smoothing import Smooth
 
 MODELS = (".sdf", ".world", ".urdf", ".xacro")
 KINDS = (*MODELS, *FORMATS)
@@ -31,7 +32,7 @@ TRUST_XACRO = "ULLAGE_TRUST_XACRO"
 def load_scene(
     path: str | Path, *, geometry: Literal["collision", "visual"] = "collision",
     search_path: Sequence[str | Path] = (), missing: Literal["refuse", "skip"] = "refuse", trust_xacro: bool = False,
-    origin_m: ArrayLike | None = None,
+    origin_m: ArrayLike | None = None, scale: float | None = None, smooth: Smooth | None = None,
 ) -> Scene:  # fmt: skip
     """Read a world: SDF 1.0 to 1.12, URDF (with xacro), or a bare mesh (.dae .glb .gltf .obj .ply .stl).
 
@@ -44,6 +45,13 @@ def load_scene(
         trust_xacro: expand a .xacro file, which may evaluate Python; it runs in a process of its own, with limits.
         origin_m: point of the file (3) that becomes the scene's origin [m]. None: the file's own origin; a world that
             lies more than 100 km from it, as in UTM coordinates, gets one near its centre, with a warning.
+        scale: metres in a unit of a bare mesh, which a unit in the file multiplies. None: 1, but 0.001 for an .obj,
+            .ply or .stl over 100 units long, with a warning.
+        smooth: whether facets stand for curved surfaces, as `Scene.smoothed`; None: what the file says of each object.
+
+    Meshes are repaired: corners in one place become one, faces that coincide one sheet, and faces of closed bodies
+    are wound alike. A warning counts what was wrong. Flat faces are cut anew, so that an echo does not depend on how
+    the file cuts them.
 
     Raises:
         InputError: the file, or something that it names, is missing, malformed, too large or out of reach; or it is a
@@ -58,6 +66,10 @@ def load_scene(
     if not os.path.exists(file):
         raise InputError("no such file", where=file)
     regular_size(file, allowed="a world file")
+    if scale is not None:
+        scale = length("scale", scale, "load_scene")
+        if file.suffix.lower() not in FORMATS:
+            raise InputError("scale is for a bare mesh", where=file, allowed="<scale> of <mesh> in SDF and URDF")
     with reading(file):
         if file.suffix.lower() in MODELS:
             from ullage.world.sdf import load_sdf
@@ -66,11 +78,12 @@ def load_scene(
             xacro = _arguments(arguments[1:], file) if trusted else None
             scene = load_sdf(file, geometry=geometry, search_path=search_path, missing=missing, xacro=xacro)
         elif file.suffix.lower() in FORMATS:
-            mesh = read_mesh(file)
+            mesh = read_mesh(file, scale=scale)
             scene = Scene.of_mesh(mesh.vertices, mesh.faces, name=file.stem, corner_normals=mesh.corner_normals)
         else:
             raise InputError(f"a file of unknown kind {file.suffix!r}", where=file, allowed=" ".join(KINDS))
-        return _about(scene, origin_m, file)
+        scene = _about(scene, origin_m, file)
+    return scene if smooth is None else scene.smoothed(smooth)
 
 
 def _arguments(text: str, file: Path) -> dict[str, str]:

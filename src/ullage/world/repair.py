@@ -41,16 +41,16 @@ class Repaired:
     given: int  # triangles before
     without_area: int  # triangles left out
     coincident: int  # triangles left out, since others lie in the same place
-    turned: int  # triangles wound against most of their neighbours
+    turned: int  # triangles of closed bodies wound against most of their neighbours; a sheet has no outside
     shared: int  # edges of more than two faces
 
     @property
     def report(self) -> str:
-        """What was wrong, in one line; empty if nothing was."""
+        """What was wrong, in one line; empty if nothing was that may change the surface."""
         left_out = ((self.without_area, "degenerate"), (self.coincident, "coincident"))
         parts = [f"{n} {what} triangle{'s' * (n > 1)} of {self.given} left out" for n, what in left_out if n]
         parts += [f"{self.turned} of {self.given} triangles turned as their neighbours"] if self.turned else []
-        parts += [f"{self.shared} edges of more than two faces split"] if self.shared else []
+        parts += [f"{self.shared} edges of more than two faces split"] if self.shared and parts else []
         return "; ".join(parts)
 
 
@@ -80,9 +80,9 @@ def repaired(vertices: Floats, faces: Ints, corner_normals: Floats | None = None
     cut = place[cut]
     once, _ = _single(cut)
     cut, owner, normals = cut[once], owner[once], None if normals is None else normals[once]
-    cut, normals = _wound(places, cut, normals)
+    cut, normals, closed = _wound(places, cut, normals)
     sides = np.zeros(len(flats.normals))
-    sides[owner] = np.einsum("fi,fi->f", _crosses(places[cut]), flats.normals[owner])
+    sides[owner[closed]] = np.einsum("fi,fi->f", _crosses(places[cut[closed]]), flats.normals[owner[closed]])
     turned = int((sides[flats.of] * flats.sides < 0)[~twice].sum())
     used, cut = np.unique(cut, return_inverse=True)
     cut, normals = _rolled(cut.reshape(-1, 3), normals)
@@ -124,7 +124,7 @@ def _welded(vertices: Floats, faces: Longs) -> tuple[Floats, Longs]:
 
 
 def _rounding(points: Floats) -> float:
-    """How far the rounding of coordinates moves points (v, 3) [m]: in text of six or seven digits, or in single precision."""
+    """How far rounding moves points (v, 3) [m]: that of text with six or seven digits, or of single precision."""
     size = abs(points).max(initial=0.0)
     unit = 10.0 ** np.floor(np.log10(np.maximum(abs(points), 1e-12 * size + 1e-300)))
     for digits in DIGITS:
@@ -276,7 +276,7 @@ def _recut(points: Floats, tri: Longs, flats: _FlatFaces, rounded: float) -> tup
     rows = _outlines(points, tri, flats.of, rounded)
     around = np.bincount(rows[:, 0], np.linalg.norm(points[rows[:, 1]] - points[rows[:, 2]], axis=1), len(size))
     rows = rows[size[rows[:, 0]] > 1]
-    some, first, many = np.unique(rows[:, 0], return_index=True, return_counts=True)
+    first, many = np.unique(rows[:, 0], return_index=True, return_counts=True)[1:]
     found = [_of_three(rows, first[many == 3]), _of_four(points, rows, first[many == 4], flats.normals)]
     done = np.concatenate([owner for _, owner in found])
     found.append(_of_many(points, rows[~np.isin(rows[:, 0], done)], flats.normals))
@@ -284,7 +284,7 @@ def _recut(points: Floats, tri: Longs, flats: _FlatFaces, rounded: float) -> tup
     down = np.einsum("fi,fi->f", _crosses(points[cut]), flats.normals[owner]) < 0
     cut[down] = cut[down][:, ::-1]
     whole = np.bincount(owner, np.linalg.norm(_crosses(points[cut]), axis=1), len(size))
-    filled = abs(whole - flats.areas) < FILLED * flats.areas + rounded * around
+    filled = (whole > 0) & (abs(whole - flats.areas) < FILLED * flats.areas + rounded * around)
     old, kept = ~filled[flats.of], filled[owner]
     return np.concatenate([wound[old], cut[kept]]), np.concatenate([flats.of[old], owner[kept]])
 
@@ -402,19 +402,19 @@ def _taken_over(normals: Floats, points: Floats, tri: Longs, of: Longs, cut: Lon
     return np.asarray(out / np.maximum(np.linalg.norm(out, axis=2, keepdims=True), 1e-300))
 
 
-def _wound(points: Floats, tri: Longs, normals: Floats | None) -> tuple[Longs, Floats | None]:
-    """Faces (f, 3), with normals at their corners, wound as the most of their neighbours."""
-    back = _against(points, tri)
+def _wound(points: Floats, tri: Longs, normals: Floats | None) -> tuple[Longs, Floats | None, Bools]:
+    """Faces (f, 3), with normals at their corners, wound as the most of their neighbours; whether they (f) close."""
+    back, closed = _against(points, tri)
     tri = np.where(back[:, None], tri[:, ::-1], tri)
     if normals is None:
-        return tri, None
+        return tri, None, closed
     normals = np.where(back[:, None, None], normals[:, ::-1], normals)
     inward = np.einsum("fki,fi->fk", normals, _crosses(points[tri])) < 0
-    return tri, np.where(inward[..., None], -normals, normals)
+    return tri, np.where(inward[..., None], -normals, normals), closed
 
 
-def _against(points: Floats, tri: Longs) -> Bools:
-    """Which faces are wound against the most of their neighbours.
+def _against(points: Floats, tri: Longs) -> tuple[Bools, Bools]:
+    """Which faces (f) are wound against the most of their neighbours, and which are part of closed bodies.
 
     A body that is wound alike keeps its sides, as a room has that faces inward. One that is not is turned outward if
     it is closed; else the greater area decides, and over equals the axes.
@@ -440,4 +440,4 @@ def _against(points: Floats, tri: Longs) -> Bools:
     tie = sign[lead] * np.sign(cross[lead, axis])
     way = np.where(closed, np.sign(volume), np.where(abs(most) > FILLED * total, np.sign(most), tie))
     way = np.where(abs(most) > (1 - FILLED) * total, np.sign(most), way)
-    return np.asarray(sign != way[body])
+    return np.asarray(sign != way[body]), closed[body]

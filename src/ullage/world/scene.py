@@ -20,6 +20,7 @@ from ullage.specs import Rig
 from ullage.world.lengths import number
 from ullage.world.materials import Material, material
 from ullage.world.moving import carried
+from ullage.world.smoothing import CREASES_DEG, Smooth, creases, curved, face_normals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,6 +44,7 @@ class SceneObject:
     name: str
     material: Material
     motion: Motion | None = None  # world_from_object; None: static, geometry already in the world frame
+    smooth: Smooth = "auto"  # whether its facets stand for a curved surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -358,6 +360,33 @@ class Scene(Displayed):
     def _still(self) -> Bools:
         """Which objects (o) do not move."""
         return np.array([o.motion is None for o in self.objects], bool)
+
+    def smoothed(self, smooth: Smooth, *, name: str = "") -> Scene:
+        """Return the scene with facets of an object taken as a curved surface, or as flat.
+
+        Args:
+            smooth: "yes", "no", or "auto" for the rule: facets that bend by less than 40 deg, and are many.
+            name: an object, or a model with all its parts; empty: everything.
+
+        Raises:
+            InputError: there is no such object, or no such choice.
+        """
+        if smooth not in CREASES_DEG:
+            raise InputError(f"smooth is {shown(smooth)}", where="smoothed", allowed=", ".join(CREASES_DEG))
+        mine = self._of(name) if name else np.ones(len(self.objects), bool)
+        if name and not mine.any():
+            self.object(name)  # raises an error that lists the names
+        objects = (replace(o, smooth=smooth) if my else o for o, my in zip(self.objects, mine, strict=True))
+        return replace(self, objects=tuple(objects))
+
+    def curved(self) -> dict[str, float]:
+        """Return the share of each object's surface that is taken as curved, by name; `smoothed` changes it."""
+        corners = self.vertices[self.faces]
+        bent, (_, area) = curved(corners, self.face_object, creases(self.objects)), face_normals(corners)
+        count = len(self.objects)
+        whole, part = np.bincount(self.face_object, area, count), np.bincount(self.face_object, area * bent, count)
+        shares = part / np.maximum(whole, 1e-300)
+        return {thing.name: float(share) for thing, share in zip(self.objects, shares, strict=True)}
 
     def _of(self, model: str) -> Bools:
         """Which objects (o) belong to a model."""

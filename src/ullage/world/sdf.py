@@ -25,11 +25,12 @@ from ullage.world.sdf_actor import read_motion
 from ullage.world.sdf_build import SceneBuilder
 from ullage.world.sdf_frames import ScopeFrames
 from ullage.world.sdf_geometry import GeometryReader, Rod
-from ullage.world.sdf_material import nearest_tag, read_material
+from ullage.world.sdf_material import nearest_tag, read_material, read_smooth
 from ullage.world.sdf_parse import Node, read_pose
 from ullage.world.sdf_resolve import Missing, Resolver
 from ullage.world.sdf_sensors import ray_rigs_of, rigs_of
 from ullage.world.sdf_tree import Link, Scope, TreeReader
+from ullage.world.smoothing import Smooth
 
 Geometry = Literal["collision", "visual"]
 
@@ -105,17 +106,17 @@ class SceneWalk:
         *, motion: Trajectory | None = None,
     ) -> None:  # fmt: skip
         tag = nearest_tag(link.node) or tag
-        groups: dict[Material, list[tuple[Node, Mesh | Rod, Floats]]] = {}
+        groups: dict[tuple[Material, Smooth], list[tuple[Node, Mesh | Rod, Floats]]] = {}
         for node in link.node.children(self.geometry):
             shape = self.reader.read(node)
             if shape is not None:
                 pose = here @ frames.scope_from_pose(read_pose(node), link.name, at=node.place)
-                groups.setdefault(read_material(node, tag), []).append((node, shape, pose))
+                groups.setdefault((read_material(node, tag), read_smooth(node)), []).append((node, shape, pose))
         if not groups and link.node.child("visual") is not None and link.node.child("collision") is None:
             self.unseen.append(name)
-        for object_material, parts in groups.items():
+        for (object_material, smooth), parts in groups.items():
             called = name if len(groups) == 1 else f"{name}::{parts[0][0].attribute('name')}"
-            owner = self.builder.add_object(SceneObject(called, object_material, motion))
+            owner = self.builder.add_object(SceneObject(called, object_material, motion, smooth))
             for node, shape, pose in parts:
                 try:
                     self.builder.add_shape(owner, shape, pose)

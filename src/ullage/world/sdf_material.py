@@ -10,6 +10,7 @@ from __future__ import annotations
 from ullage.errors import InputError
 from ullage.world.materials import Material, material
 from ullage.world.sdf_parse import NAMESPACE, Node
+from ullage.world.smoothing import CREASES_DEG, Smooth
 
 DEFAULT_MATERIAL = "steel"
 _ATTRIBUTES = ("thickness_m", "roughness_m", "correlation_m")
@@ -30,6 +31,23 @@ def read_material(shape: Node, inherited: Node | None) -> Material:
     if value < 0:
         retro.place.refuse(f"<laser_retro> is {value:g}", allowed="0 or more")
     return object_material.but(reflection=value)
+
+
+def read_smooth(shape: Node) -> Smooth:
+    """Read the nearest `<ullage:smooth>` of a collision or visual and of the elements around it; "auto" without one.
+
+    Raises:
+        InputError: it holds no such choice.
+    """
+    for element in (shape.element, *shape.element.iterancestors()):
+        for child in element:
+            if child.tag in (f"{{{NAMESPACE}}}smooth", "ullage:smooth"):
+                node = Node(child, shape.file)
+                text = node.text
+                if text not in CREASES_DEG:
+                    node.place.refuse(f"<ullage:smooth> is {text!r}", allowed=", ".join(CREASES_DEG))
+                return text
+    return "auto"
 
 
 def nearest_tag(*nodes: Node | None) -> Node | None:

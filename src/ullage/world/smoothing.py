@@ -1,34 +1,53 @@
 """Corner normals of triangle meshes: which facets sample a curved surface, and the surface's normals there.
 
-Two facets belong to one smooth surface where they meet at less than `CREASE_DEG`, in a region of `FEWEST` facets or
-more. The normal at a corner is the mean over the facets around it, weighted so that it is exact on spheres [Max1999].
-A wide facet beside narrow ones is a tangent plane, as of a plate beside its rounded edge: its normal stays its own, and
-the narrow ones take it over.
+Two facets belong to one smooth surface where they meet at less than the crease of their object (`CREASES_DEG`) and lie
+off it by less than `COARSE_M`, in a region of `FEWEST` facets or more. This rule alone parts curves from edges. The
+normal at a corner is the mean over the facets around it, weighted so that it is exact on spheres [Max1999]. A wide
+facet beside narrow ones is a tangent plane, as of a plate beside its rounded edge: its normal stays its own, and the
+narrow ones take it over.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ullage.arrays import Floats, Longs
+from ullage.arrays import Bools, Floats, Longs
 
-CREASE_DEG = 40.0
+Smooth = Literal["auto", "yes", "no"]
+"""Whether facets of an object stand for a curved surface: by rule, wherever they may, or nowhere."""
+CREASES_DEG: dict[Smooth, float] = {"auto": 40.0, "yes": 75.0, "no": 1.0}
 """Facets that meet at more than this keep a crease between them [deg].
 
-Below it a conducting edge is taken for smooth and diffracts nothing, so one limit parts curves from edges. A pipe of 10
-sides (36 deg) is round; a prism of 8 (45 deg) keeps its edges.
+Below it a conducting edge is taken for smooth and diffracts nothing, so one limit parts curves from edges. By rule a
+pipe of 10 sides (36 deg) is round; a prism of 8 (45 deg) keeps its edges. Under a degree no facet is worth an edge.
 """
-FEWEST = 16
+FEWEST: dict[Smooth, int] = {"auto": 16, "yes": 2, "no": 16}
 """A curved surface has at least so many triangles: less is a bevel or a bay window."""
+WELD_M = 1e-6
+"""Corners nearer than this are one [m]."""
+BENT_RAD = 1e-3
+"""Facets that bend by less are one flat face."""
+COARSE_M = 0.02
+"""Facets farther off the curve through their edges than this stand for flat walls [m]: half a wave."""
 UNEVEN = 3.0
 """Across an edge, a facet so many times wider than its neighbour is not a sample of the same curve."""
 GIVEN_DEG = 12.5
 """Normals of a file count where they differ by less than this from those of the facets [deg]."""
+
+
+class Taken(Protocol):
+    """An object that is taken as curved or not."""
+
+    @property
+    def smooth(self) -> Smooth:
+        """How."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +72,31 @@ class Hinges:
         return np.asarray(connected_components(links, directed=False)[1], np.int64)
 
 
+class Creases(NamedTuple):
+    """What parts curved surfaces from flat facets in each object (o)."""
+
+    deg: Floats  # (o) `CREASES_DEG`
+    cosine: Floats  # (o) its cosine
+    fewest: Longs  # (o) `FEWEST`
+
+
+def creases(objects: Iterable[Taken]) -> Creases:
+    """Return the limits of objects that are taken as curved or not (o)."""
+    modes = [thing.smooth for thing in objects]
+    deg = np.array([CREASES_DEG[mode] for mode in modes])
+    return Creases(deg, np.cos(np.deg2rad(deg)), np.array([FEWEST[mode] for mode in modes], np.int64))
+
+
+def welded(corners: Floats) -> Longs:
+    """Numbers (f, 3) of the corners of triangles (f, 3, 3), the same for corners in one place."""
+    places = np.round(corners.reshape(-1, 3) / WELD_M).astype(np.int64)
+    ids = np.zeros(len(places), np.int64)
+    for k in range(3):  # one coordinate after the other: sorting numbers is ten times faster than sorting rows
+        _, row = np.unique(places[:, k], return_inverse=True)
+        _, ids = np.unique(ids * (int(row.max(initial=0)) + 1) + row, return_inverse=True)
+    return np.asarray(ids.reshape(-1, 3), np.int64)
+
+
 def face_normals(corners: Floats) -> tuple[Floats, Floats]:
     """Unit normals (f, 3) and areas (f) [m2] of triangles (f, 3, 3); 0 where there is no area."""
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -60,34 +104,70 @@ def face_normals(corners: Floats) -> tuple[Floats, Floats]:
     return cross / np.maximum(size, 1e-300)[:, None], size / 2
 
 
-def hinges(corners: Floats, ids: Longs, objects: NDArray[np.integer]) -> Hinges:
+def goes_on(corners: Floats, a: Longs, b: Longs, objects: NDArray[np.integer], limits: Creases) -> Bools:
+    """Which triangles go over into each other smoothly at the edges they share, whichever way they are wound.
+
+    Args:
+        corners: triangles (f, 3, 3) [m].
+        a: half edges (n): triangle times 3, and the corner it begins at.
+        b: the half edges (n) of their neighbours.
+        objects: object (f) of each triangle.
+        limits: of the objects (o).
+    """
+    along, normals = (np.roll(corners, -1, 1) - corners).reshape(-1, 3), face_normals(corners)[0]
+    inward, widths = np.empty((2, len(a), 3)), np.empty((2, len(a)))
+    for k, half in enumerate((a, b)):
+        length = np.maximum(np.linalg.norm(along[half], axis=1), 1e-300)
+        inward[k] = np.cross(normals[half // 3], along[half]) / length[:, None]
+        widths[k] = np.einsum("ni,ni->n", inward[k], corners[half // 3, (half + 2) % 3] - corners[half // 3, half % 3])
+    cosine = -np.einsum("ni,ni->n", *inward)
+    off = widths.min(0) * np.arccos(np.clip(cosine, -1, 1)) / 8  # of an arc from its chord
+    mine = objects[a // 3]
+    return np.asarray((cosine > limits.cosine[mine]) & (off <= COARSE_M))
+
+
+def hinges(corners: Floats, ids: Longs, objects: NDArray[np.integer], limits: Creases) -> Hinges:
     """Find the edges at which triangles go over into each other smoothly.
 
     Args:
         corners: triangles (f, 3, 3) [m].
         ids: numbers (f, 3) of their corners, the same for corners in one place.
         objects: object (f) of each.
+        limits: of the objects (o).
     """
-    normals, area = face_normals(corners)
+    _, area = face_normals(corners)
     start, end = ids.ravel(), np.roll(ids, -1, 1).ravel()
     key = np.minimum(start, end) * (int(ids.max(initial=0)) + 1) + np.maximum(start, end)
     order = np.argsort(key, kind="stable")
     many = np.diff(np.flatnonzero(np.diff(key[order], prepend=-1, append=-2)))
     first = np.cumsum(many) - many
     one, other = order[first[many == 2]], order[first[many == 2] + 1]
+    kept = (start[one] == end[other]) & (objects[one // 3] == objects[other // 3])
+    kept &= goes_on(corners, one, other, objects, limits)
+    one, other = one[kept], other[kept]
     a, b = one // 3, other // 3
-    bend = np.einsum("ni,ni->n", normals[a], normals[b])
-    kept = (start[one] == end[other]) & (objects[a] == objects[b]) & (bend > np.cos(np.deg2rad(CREASE_DEG)))
-    one, other, a, b = one[kept], other[kept], a[kept], b[kept]
     k, m = one % 3, other % 3
     length = np.linalg.norm(corners[a, (k + 1) % 3] - corners[a, k], axis=1)
     widths = 2 * np.stack([area[a], area[b]], 1) / np.maximum(length, 1e-300)[:, None]
     found = Hinges(np.stack([a, b], 1), np.stack([k, (m + 1) % 3], 1), np.stack([(k + 1) % 3, m], 1), widths)
     region = found.regions(len(corners))
-    return found.take(np.bincount(region)[region[found.faces[:, 0]]] >= FEWEST)
+    a = found.faces[:, 0]
+    return found.take(np.bincount(region)[region[a]] >= limits.fewest[objects[a]])
 
 
-def corner_normals(corners: Floats, found: Hinges, given: Floats | None = None, known: Floats | None = None) -> Floats:
+def curved(corners: Floats, objects: NDArray[np.integer], limits: Creases) -> Bools:
+    """Which triangles (f, 3, 3) of objects (f) are taken as parts of a curved surface."""
+    found = hinges(corners, welded(corners), objects, limits)
+    normals, _ = face_normals(corners)
+    a, b = found.faces.T
+    bent = np.einsum("ei,ei->e", normals[a], normals[b]) < np.cos(BENT_RAD)
+    return np.bincount(found.faces[bent].ravel(), minlength=len(corners)) > 0
+
+
+def corner_normals(
+    corners: Floats, found: Hinges, given: Floats | None = None, known: Floats | None = None, *,
+    crease_deg: Floats | float = CREASES_DEG["auto"],
+) -> Floats:  # fmt: skip
     """Estimate the normals (f, 3, 3) of a smooth surface at the corners of its triangles.
 
     Args:
@@ -96,21 +176,23 @@ def corner_normals(corners: Floats, found: Hinges, given: Floats | None = None, 
         given: normals (f, 3, 3) from elsewhere, such as a file; zero where unknown. Each counts where it agrees with
             the facets within `GIVEN_DEG`.
         known: normals (f, 3, 3) of surfaces whose shape is known; zero elsewhere. All facets around a corner take
-            them that bend from them by less than half of `CREASE_DEG`, as a smooth surface does from its facets.
+            them that bend from them by less than half of a crease, as a smooth surface does from its facets.
+        crease_deg: of all triangles, or of each (f), as `Creases.deg` [deg].
     """
     normals, area = face_normals(corners)
+    crease = np.deg2rad(crease_deg)[..., None]
     even = found.widths.max(1) < UNEVEN * (1 + 1e-6) * found.widths.min(1)  # no rounding decides over equals
     groups, mean = _fans(corners, normals, area, found.take(even))
     _take_over(mean, groups, found.take(~even))
     out = mean[groups].reshape(-1, 3, 3)
-    off = np.einsum("fki,fi->fk", out, normals) < np.cos(np.deg2rad(CREASE_DEG))  # a cone's tip has no normal
+    off = np.einsum("fki,fi->fk", out, normals) < np.cos(crease)  # a cone's tip has no normal
     out = np.where(off[..., None], normals[:, None], out)
     if given is not None:
         agrees = np.einsum("fki,fki->fk", given, out) > np.cos(np.deg2rad(GIVEN_DEG))
         out = np.where(agrees[..., None], given, out)
     if known is not None:
         known = _spread(known, groups)
-        bends = np.einsum("fki,fi->fk", known, normals) < np.cos(np.deg2rad(CREASE_DEG / 2))
+        bends = np.einsum("fki,fi->fk", known, normals) < np.cos(crease / 2)
         out = np.where(bends[..., None], out, known)
     return out
 
