@@ -28,7 +28,7 @@ _LEVEL = 0.02  # facets whose normals have a larger component along the axis bel
 _MOST = 0.35  # a cylinder needs this share of the smooth surface: the belt of a sphere has less
 _DEEP = 0.05  # facets of a sphere lie inside it by less than this share of its radius
 _BENT = np.cos(np.deg2rad(CREASES_DEG["auto"]))  # facets of a sphere are square to its radii so far
-_ONE = Creases(np.array([CREASES_DEG["yes"]]), np.array([np.cos(np.deg2rad(CREASES_DEG["yes"]))]), np.array([2]))
+_ONE = Creases(np.array([75.0]), np.array([np.cos(np.deg2rad(75.0))]), np.array([2]), np.array([np.inf]))
 """Of a surface that is smooth already."""
 _ARC_DEG = 100.0  # a smaller arc of a circle reflects nothing to its own opposite side
 _FEWEST = 16  # triangles

@@ -34,7 +34,7 @@ WELD_M = 1e-6
 """Corners nearer than this are one [m]."""
 BENT_RAD = 1e-3
 """Facets that bend by less are one flat face."""
-COARSE_M = 0.02
+COARSE_M: dict[Smooth, float] = {"auto": 0.02, "yes": np.inf, "no": 0.02}
 """Facets farther off the curve through their edges than this stand for flat walls [m]: half a wave."""
 UNEVEN = 3.0
 """Across an edge, a facet so many times wider than its neighbour is not a sample of the same curve."""
@@ -78,13 +78,15 @@ class Creases(NamedTuple):
     deg: Floats  # (o) `CREASES_DEG`
     cosine: Floats  # (o) its cosine
     fewest: Longs  # (o) `FEWEST`
+    coarse_m: Floats  # (o) `COARSE_M`
 
 
 def creases(objects: Iterable[Taken]) -> Creases:
     """Return the limits of objects that are taken as curved or not (o)."""
     modes = [thing.smooth for thing in objects]
     deg = np.array([CREASES_DEG[mode] for mode in modes])
-    return Creases(deg, np.cos(np.deg2rad(deg)), np.array([FEWEST[mode] for mode in modes], np.int64))
+    fewest, coarse = np.array([FEWEST[mode] for mode in modes], np.int64), np.array([COARSE_M[mode] for mode in modes])
+    return Creases(deg, np.cos(np.deg2rad(deg)), fewest, coarse)
 
 
 def welded(corners: Floats) -> Longs:
@@ -123,7 +125,7 @@ def goes_on(corners: Floats, a: Longs, b: Longs, objects: NDArray[np.integer], l
     cosine = -np.einsum("ni,ni->n", *inward)
     off = widths.min(0) * np.arccos(np.clip(cosine, -1, 1)) / 8  # of an arc from its chord
     mine = objects[a // 3]
-    return np.asarray((cosine > limits.cosine[mine]) & (off <= COARSE_M))
+    return np.asarray((cosine > limits.cosine[mine]) & (off <= limits.coarse_m[mine]))
 
 
 def hinges(corners: Floats, ids: Longs, objects: NDArray[np.integer], limits: Creases) -> Hinges:
