@@ -138,7 +138,7 @@ def case_person(draw: np.random.Generator, speed: float) -> Case:
         place = np.stack([np.clip(3.5 - pace * t_s, -0.5, 3.5), zero + draw.uniform(-0.2, 0.2), zero - 0.3], 1)
     level = np.tile([0, 0, 0, 1.0], (len(t_s), 1))
     motion = Trajectory(even_times(10.0, count=len(t_s)), place, level)
-    return Case(Scene.of_mesh(*mesh, name="obstacle", made_of="human", motion=motion), speed, end_m=2.5)
+    return Case(Scene.of_mesh(*mesh, name="obstacle", material="human", motion=motion), speed, end_m=2.5)
 
 
 def case_passage(draw: np.random.Generator, speed: float) -> Case:

@@ -118,7 +118,9 @@ def _welded(vertices: Floats, faces: Longs) -> tuple[Floats, Longs]:
     number[order] = np.cumsum(new) - 1
     near = cKDTree(places).query_pairs(WELD * float(np.linalg.norm(np.ptp(places, axis=0))), output_type="ndarray")
     if len(near):
-        _, first, group = np.unique(_linked(*near.T, len(places)), return_index=True, return_inverse=True)
+        _, first, group = np.unique(
+            _linked(near[:, 0], near[:, 1], len(places)), return_index=True, return_inverse=True
+        )
         places, number = places[np.sort(first)], np.searchsorted(np.sort(first), first[group])[number]
     return places, number[tri].reshape(-1, 3)
 
@@ -424,8 +426,11 @@ def _against(points: Floats, tri: Longs) -> tuple[Bools, Bools]:
     a, b = order[first[many == 2]], order[first[many == 2] + 1]
     alike = tri.ravel()[a] != tri.ravel()[b]
     a, b = a // 3, b // 3
-    links = np.stack([a, b + np.where(alike, 0, count)]), np.stack([a + count, b + np.where(alike, count, 0)])
-    one, other = _linked(*np.concatenate(links, 1), 2 * count).reshape(2, count)
+    here, there = (
+        np.concatenate([a, a + count]),
+        np.concatenate([b + np.where(alike, 0, count), b + np.where(alike, count, 0)]),
+    )
+    one, other = _linked(here, there, 2 * count).reshape(2, count)
     body, sign = np.minimum(one, other), np.where(one <= other, 1.0, -1.0)
     body = np.unique(body, return_inverse=True)[1].reshape(-1)
     cross = _crosses(points[tri])

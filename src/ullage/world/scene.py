@@ -404,21 +404,23 @@ class Scene(Displayed):
         faces: Ints,
         *,
         name: str,
-        made_of: str | Material = "steel",
+        material: str | Material = "steel",
         motion: Trajectory | None = None,
         corner_normals: Floats | None = None,
+        made_of: str | Material | None = None,
     ) -> Scene:
-        """One object from a triangle mesh."""
-        chosen = made_of if isinstance(made_of, Material) else material(made_of)
+        """One object from a triangle mesh; `made_of` is an older word for `material`."""
+        chosen = _chosen(made_of or material)
         return cls(vertices, faces, np.zeros(len(faces), np.int32), (SceneObject(name, chosen, motion),), name=name,
                    corner_normals=corner_normals)  # fmt: skip
 
     @classmethod
     def of_wires(
-        cls, start: Floats, end: Floats, radius_m: float, *, name: str, made_of: str | Material = "steel"
-    ) -> Scene:
-        """One object from straight wires of one radius."""
-        chosen = made_of if isinstance(made_of, Material) else material(made_of)
+        cls, start: Floats, end: Floats, radius_m: float, *, name: str, material: str | Material = "steel",
+        made_of: str | Material | None = None,
+    ) -> Scene:  # fmt: skip
+        """One object from straight wires of one radius; `made_of` is an older word for `material`."""
+        chosen = _chosen(made_of or material)
         a, b = (np.atleast_2d(checks.array(name, ends)) for name, ends in (("start", start), ("end", end)))
         radius = np.full(len(a), checks.number("radius_m", radius_m, "of_wires", above=0.0, allowed="> 0"))
         wires = Wires(a, b, radius, np.zeros(len(a), np.int32))
@@ -452,6 +454,10 @@ class Scene(Displayed):
             name,
             corner_normals=_together(parts),
         )
+
+
+def _chosen(given: str | Material) -> Material:
+    return given if isinstance(given, Material) else material(given)
 
 
 def _point(value: ArrayLike, name: str, where: str) -> Floats:

@@ -141,7 +141,7 @@ def wire(
     tilt = math.radians(number("tilt_deg", tilt_deg, "wire"))
     centre = np.array([number("distance_m", distance_m, "wire"), 0.0, 0.0])
     arm = half * np.array([0.0, -math.sin(tilt), math.cos(tilt)])
-    return Scene.of_wires(centre - arm, centre + arm, radius, name=name, made_of=material)
+    return Scene.of_wires(centre - arm, centre + arm, radius, name=name, material=material)
 
 
 def dihedral(
@@ -219,7 +219,7 @@ def floor(
     """
     x, y = lengths("size_m", size_m, 2, "floor") / 2
     corners = _rectangle((x, 0, 0), (0, y, 0)) + np.array([0, 0, number("z_m", z_m, "floor")])
-    return Scene.of_mesh(corners, _QUAD, name=name, made_of=material)
+    return Scene.of_mesh(corners, _QUAD, name=name, material=material)
 
 
 def tank(radius_m: float = 4.0, height_m: float = 3.0, material: str = "steel", *, strips: int = 128) -> Scene:
@@ -245,8 +245,8 @@ def tank(radius_m: float = 4.0, height_m: float = 3.0, material: str = "steel", 
     )
     ground = np.stack([np.zeros(strips - 2, int), here[1:-1], here[2:]], 1)
     both = np.concatenate([ring, top])
-    below = Scene.of_mesh(ring, ground.astype(np.int32), name="floor", made_of=material)
-    around = Scene.of_mesh(both, wall.astype(np.int32), name="wall", made_of=material)
+    below = Scene.of_mesh(ring, ground.astype(np.int32), name="floor", material=material)
+    around = Scene.of_mesh(both, wall.astype(np.int32), name="wall", material=material)
     return Scene.union([below, around], name="tank")
 
 
@@ -275,7 +275,7 @@ def room(
         "wall_west": ((-x, 0, 0), (0, y, 0), (0, 0, z)),
     }
     parts = [
-        Scene.of_mesh(_rectangle(u, v) + np.asarray(centre, float), _QUAD, name=side, made_of=material)
+        Scene.of_mesh(_rectangle(u, v) + np.asarray(centre, float), _QUAD, name=side, material=material)
         for side, (centre, u, v) in sides.items()
     ]
     if plate is not None:
@@ -318,7 +318,7 @@ def _placed(
     yaw, tilt = number("yaw_deg", yaw_deg, where), number("tilt_deg", tilt_deg, where)
     pose = transform((x, 0, 0), np.radians([tilt, 0, yaw]))
     mesh = np.asarray(faces, np.int32)
-    return Scene.of_mesh(apply(pose, np.asarray(vertices, float)), mesh, name=name, made_of=material)
+    return Scene.of_mesh(apply(pose, np.asarray(vertices, float)), mesh, name=name, material=material)
 
 
 def _facet_edge(edge_m: float | None, radius: float, area: float, where: str) -> float:

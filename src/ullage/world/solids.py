@@ -96,12 +96,12 @@ def _one(part: Solid) -> Scene:
     chosen = material(part.material)
     if isinstance(part, Part):
         made_of = chosen if part.thickness_m is None else chosen.but(thickness_m=part.thickness_m)
-        return Scene.of_mesh(*part.shape, name=part.name, made_of=made_of)
+        return Scene.of_mesh(*part.shape, name=part.name, material=made_of)
     if isinstance(part, Box):
-        return Scene.of_mesh(*moved(shapes.box(part.size), part.center), name=part.name, made_of=chosen)
+        return Scene.of_mesh(*moved(shapes.box(part.size), part.center), name=part.name, material=chosen)
     if part.is_wire:
-        return Scene.of_wires(np.array(part.start), np.array(part.end), part.radius_m, name=part.name, made_of=chosen)
-    return Scene.of_mesh(*part.mesh(), name=part.name, made_of=chosen)
+        return Scene.of_wires(np.array(part.start), np.array(part.end), part.radius_m, name=part.name, material=chosen)
+    return Scene.of_mesh(*part.mesh(), name=part.name, material=chosen)
 
 
 def join(*meshes: Shape) -> Shape:

@@ -30,7 +30,7 @@ def curved_meshes() -> Iterator[Row]:
         ("ellipsoid of 88 mm facets", _ellipsoid(0.088), _ellipsoid(0.014), 0.05),
         ("torus of 80 mm facets", _torus(48, 10), _torus(320, 76), 0.12),
     ):
-        want, ours = (echoes(Scene.of_mesh(*m, name="thing", made_of="pec"), path, radar()) for m in (fine, coarse))
+        want, ours = (echoes(Scene.of_mesh(*m, name="thing", material="pec"), path, radar()) for m in (fine, coarse))
         yield Row(f"{name}, largest difference from a fine mesh", 0.0, _change(ours, want), bound, "")
 
 
@@ -46,7 +46,7 @@ def slivers() -> Iterator[Row]:
     along, up = (side / np.linalg.norm(side) for side in sides)
     middle = whole.vertices.mean(0)
     vertices = middle + at[:, :1] * along + at[:, 1:] * up
-    cut = Scene.of_mesh(vertices, faces.astype(np.int32), name="plate", made_of="pec")
+    cut = Scene.of_mesh(vertices, faces.astype(np.int32), name="plate", material="pec")
     yield Row("plate of 4,000 slivers, turned 10 deg", db(gain(whole)), db(gain(cut)), 0.01)
 
 
