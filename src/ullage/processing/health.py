@@ -150,7 +150,7 @@ class HealthMonitor:
         causes[stuck & (causes == "")] = STUCK
         for t_ns, cause in zip(part.t_ns.tolist(), causes.tolist(), strict=True):
             self._take(name, one, t_ns, cause)
-        return causes == ""
+        return np.asarray(causes == "")
 
     def _take(self, name: str, one: _Sensor, t_ns: int, cause: str) -> None:
         if t_ns < one.last_ns:  # its clock was set back
