@@ -238,7 +238,7 @@ class HandFlownSource(UnboundedSource):
         """Return the part of the flight that waits for simulation [s]."""
         return len(self._states) / self._options.state_hz
 
-    def _state_of(self, states: list[State]) -> Iterator[Trajectory | Passed]:
+    def _state_of(self, states: list[State]) -> Iterator[Passed | Trajectory]:
         """Give the path along some states and the readings of the other sensors."""
         rows = [(s.position, s.quat_xyzw, s.velocity, s.spin) for s in states]
         times = np.array([self._epoch_ns + state.t_ns for state in states])

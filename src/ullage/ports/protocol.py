@@ -37,16 +37,16 @@ class Passing:
     """Messages that a live source receives besides frames, passed on to a taker as they come."""
 
     def __init__(self) -> None:
-        self._take: Callable[[Passed], None] | None = None
-        self._waiting: deque[Callable[[], Iterable[Passed]]] = deque(maxlen=1000)
+        self._take: Callable[[Passed | Trajectory], None] | None = None
+        self._waiting: deque[Callable[[], Iterable[Passed | Trajectory]]] = deque(maxlen=1000)
 
-    def to(self, take: Callable[[Passed], None]) -> None:
+    def to(self, take: Callable[[Passed | Trajectory], None]) -> None:
         """Pass messages to this taker from now on; the waiting ones go first."""
         self._take = take
         while self._waiting:
             self.give(self._waiting.popleft())
 
-    def give(self, make: Callable[[], Iterable[Passed]]) -> None:
+    def give(self, make: Callable[[], Iterable[Passed | Trajectory]]) -> None:
         """Pass on the messages that `make` returns; it is called only once there is a taker."""
         if self._take is None:
             self._waiting.append(make)

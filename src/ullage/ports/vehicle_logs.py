@@ -146,7 +146,8 @@ def read_nmea(path: Path, *, datum: str = "") -> Trajectory:
     """
     with reading(path):
         text = path.read_text("ascii", errors="replace")
-    rows, bad, day = [], 0, 0
+    rows: list[tuple[Any, ...]] = []
+    bad, day = 0, 0
     for line in text.splitlines():
         if "GGA," not in line[:8]:
             continue

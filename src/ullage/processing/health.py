@@ -27,6 +27,8 @@ KNOWN_FRAMES, KNOWN_M = 16, 0.3
 """Frames and track after which the level of the direct path is known: echoes near the radar have changed by then."""
 FULL_SCALE, CLIPPED = 0.995, 0.05
 """Share of the greatest value that counts as full scale, and of samples there that make a frame saturated."""
+LEAST_NOISE = 1e-6
+"""Share of the greatest value below which a quarter of the samples holds no noise: receivers have 120 dB at most."""
 STUCK, SILENT, DEAF, LEVEL = "stuck", "without a signal", "deaf", "its direct path is gone"
 CLIPS, MISSING = "saturated", "gives no frames"
 _QUARTER = {True: 0.7585, False: 0.3186}  # lower quartile of the size of complex and of real noise, in sigmas
@@ -195,6 +197,12 @@ def _is_noisy(part: Frames) -> bool:
     return noise is not None and (part.spec.thesis.noise_sigma if is_amplitude(part) else noise.thermal) > 0
 
 
+def _holds_noise(size: NDArray[np.floating]) -> Bools:
+    """Whether samples of these sizes (n, b) hold noise at all: profiles that somebody computed may be ideal."""
+    quarter = max(size.shape[1] // 4, 1)
+    return np.asarray(np.partition(size, quarter, axis=1)[:, quarter] > LEAST_NOISE * size.max(axis=1))
+
+
 def _repeats(part: Frames, one: _Sensor, moved: Floats) -> Bools:
     """Whether each frame (n) is the one before it once more, where it must differ."""
     before = part.samples[:1] if one.sample is None else one.sample[None]
@@ -202,7 +210,7 @@ def _repeats(part: Frames, one: _Sensor, moved: Floats) -> Bools:
     same[0] &= one.sample is not None
     one.sample = part.samples[-1].copy()
     if _is_noisy(part):
-        return np.asarray(same)
+        return np.asarray(same & _holds_noise(np.abs(part.samples)))
     # without noise a frame repeats while the radar rests, and stays empty where nothing is in range
     return np.asarray(same & has_phase(part) & (moved > 0) & part.samples.any(axis=1))
 

@@ -265,7 +265,7 @@ class ObstacleStage:
             column(lambda track: track.closing_m_s),
             column(lambda track: math.sqrt(track.var_v)),
             column(lambda track: track.snr_db),
-            ~(cells & lobes[radar]).any(1), cells, mean, spread,
+            np.asarray(~(cells & lobes[radar]).any(1)), cells, mean, spread,
         )  # fmt: skip
 
     def _view(self, sensor: _Sensor, turn: Floats) -> RadarView | None:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ullage.arrays import Bools, Floats, Ints, Longs
-from ullage.radar.solids import welded
 from ullage.radar.wires import moved
+from ullage.world.smoothing import welded
 
 _LEAST_SINE = 0.1  # of the angle between the edges of a corner
 

@@ -17,11 +17,10 @@ import numpy as np
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.radar import corner_diffraction as corner
 from ullage.radar import double_diffraction as double
-from ullage.radar.solids import welded
 from ullage.radar.wires import moved
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
-from ullage.world.smoothing import creases, goes_on
+from ullage.world.smoothing import creases, goes_on, welded
 
 if TYPE_CHECKING:
     from scipy.sparse import coo_array

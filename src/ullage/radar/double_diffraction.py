@@ -16,8 +16,8 @@ from functools import lru_cache
 import numpy as np
 
 from ullage.arrays import Bools, Floats, Ints, Longs
-from ullage.radar.solids import welded
 from ullage.radar.wires import moved
+from ullage.world.smoothing import welded
 
 WIDEST_M = 1.0
 """Greatest distance of two edges between which a wave is followed [m]."""

@@ -12,10 +12,10 @@ from scipy.sparse.csgraph import connected_components
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels.facets import BALL
-from ullage.radar.solids import EVEN, Backs, Faces, backs, behind_skins, welded
+from ullage.radar.solids import EVEN, Backs, Faces, backs, behind_skins
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
-from ullage.world.smoothing import Creases, creases, goes_on
+from ullage.world.smoothing import Creases, creases, goes_on, welded
 
 FLAT_M = 0.11
 """Flat faces at least this long are done by their rims and mirror waves [m]: squares of two waves of the X4M05.

@@ -74,11 +74,13 @@ class Physical:
         def along(path: Trajectory, one: RadarSpec) -> Samples:
             return echoes(self.scene, path, one, max_bounces=self.max_bounces, seed=self.seed)
 
+        clean: Samples
         if spec.stagger_div is None:
             clean = along(truth, spec)
         else:
             odd = (first_frame + np.arange(len(truth))) % 2 == 1
-            clean = np.zeros((len(truth), spec.bins), np.float32 if spec.output == "rf" else np.complex64)
+            kind = np.float32 if spec.output == "rf" else np.complex64
+            clean = np.asarray(np.zeros((len(truth), spec.bins), kind))
             for rows, div in ((~odd, spec.prf_div), (odd, spec.stagger_div)):
                 if rows.any():
                     clean[rows] = along(truth[np.flatnonzero(rows)], spec.but(prf_div=div, stagger_div=None))

@@ -15,10 +15,11 @@ import numpy as np
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.radar.facets import Surfaces, strewn
-from ullage.radar.solids import Backs, welded
+from ullage.radar.solids import Backs
 from ullage.world import point_normal, smoothing
 from ullage.world.notices import notify
 from ullage.world.scene import Scene
+from ullage.world.smoothing import welded
 
 SHARE = 1 / 128
 """Middles of edges lie so far off the curved surface at the most, over the wavelength.

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from ullage.arrays import Bools, Floats, Longs
 from ullage.radar.facets import Surfaces
 from ullage.radar.quadrics import LEAST_M, OFF_M, SmoothSurface, along_axis, connected_parts, sphere_through
-from ullage.radar.solids import welded
+from ullage.world.smoothing import welded
 
 _FEWEST = 16  # triangles
 _DEEP = 0.05  # largest depth of facets inside the sphere, as a share of its radius
