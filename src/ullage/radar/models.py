@@ -79,11 +79,11 @@ class Physical:
             clean = along(truth, spec)
         else:
             odd = (first_frame + np.arange(len(truth))) % 2 == 1
-            kind = np.float32 if spec.output == "rf" else np.complex64
-            clean = np.asarray(np.zeros((len(truth), spec.bins), kind))
+            clean = np.zeros((len(truth), spec.bins), np.complex64)
             for rows, div in ((~odd, spec.prf_div), (odd, spec.stagger_div)):
                 if rows.any():
                     clean[rows] = along(truth[np.flatnonzero(rows)], spec.but(prf_div=div, stagger_div=None))
+            clean = clean.real.copy() if spec.output == "rf" else clean
         return receive(clean, spec, seed=seed, first_frame=first_frame)
 
 

@@ -66,6 +66,7 @@ class VolumeMapper(LikelihoodMapper):
         self._places: dict[tuple[int, ...], None] = {}
         self._quiet: dict[tuple[int, ...], Quiet] = {}
         self._phase: bool | None = None
+        self._apertures = self._thin = 0  # keyframes, and those with too few frames for a search
         self._published: OccupancyMap | None = None
 
     def update(self, frames: Recording) -> None:
