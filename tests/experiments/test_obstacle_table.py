@@ -48,14 +48,15 @@ def test_a_recording_alone_gives_its_table(folder: Path) -> None:
     assert float(front[-1]["closing_speed_m_s"]) == pytest.approx(0.6, abs=0.1)
     assert float(front[-1]["time_to_collision_s"]) == pytest.approx(1.6 / 0.6, rel=0.2)
     assert back[-1]["distance_m"] == "nan"
-    assert back[-1]["fault"] == "no new frame"
+    assert back[-1]["fault"] == "gives no frames"
 
 
 def test_the_run_says_it_in_words_and_as_metrics(folder: Path) -> None:
     words = (folder / "verdict.txt").read_text().splitlines()
-    assert words[0].startswith("obstacles of 'front': ")
-    assert "nearest 1." in words[0]
-    assert "time to collision" in words[0]
+    assert words[0].startswith("back: gives no frames from ")
+    front = next(line for line in words if line.startswith("obstacles of 'front': "))
+    assert "nearest 1." in front
+    assert "time to collision" in front
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["obstacle_nearest"]["value"] == pytest.approx(1.6, abs=0.08)
     assert 5 < metrics["obstacle_unknown"]["value"] < 25

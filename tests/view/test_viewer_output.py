@@ -48,7 +48,9 @@ def test_a_wrong_option_is_one_line(options: dict[str, Any], words: str) -> None
 
 @pytest.mark.parametrize("below", [0, 1])
 def test_a_taken_port_is_one_line_be_it_that_of_the_page_or_of_its_data(taken: int, below: int) -> None:
-    with pytest.raises(ul.InputError, match=rf"cannot listen on port {taken}: .*viewer:web\?port=PORT") as error:
+    with pytest.raises(
+        ul.InputError, match=rf"cannot listen on 127.0.0.1 port {taken}: .*viewer:web\?port=PORT"
+    ) as error:
         ViewerOutput("web", port=taken - below).check()
     assert "\n" not in str(error.value)
 

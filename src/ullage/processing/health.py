@@ -176,9 +176,11 @@ class HealthMonitor:
 
 def judged(frames: Recording) -> tuple[list[Frames], list[str]]:
     """The sound frames of a recording, by radar, and a line for each fault."""
-    monitor, parts = HealthMonitor(), sensors_of(frames)
-    sound = monitor.sound({part.sensor: part for part in parts})
-    return list(sound.values()), monitor.lines()
+    monitor, out = HealthMonitor(), []
+    for part in sensors_of(frames):
+        rows = monitor.judge({part.sensor: part})[part.sensor]
+        out += [part] if rows.all() else [part[rows]] if rows.any() else []
+    return out, monitor.lines()
 
 
 def _moved(part: Frames, one: _Sensor) -> Floats:

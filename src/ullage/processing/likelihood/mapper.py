@@ -122,7 +122,8 @@ class LikelihoodMapper:
         """What a keyframe adds to the surfaces, in steps of work."""
         known = self._tracker.known(key.position)
         if self._floor_z_m is not None:
-            known = np.vstack([known, [key.position[2] - self._floor_z_m, *STRAIGHT_DOWN]])
+            # first, for a surface that is given takes what another one would explain as well
+            known = np.vstack([[key.position[2] - self._floor_z_m, *STRAIGHT_DOWN], known])
         echoes = yield from self._echoes.steps(key, known)
         yield
         self._tracker.update(echoes)
