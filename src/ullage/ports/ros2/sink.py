@@ -154,8 +154,8 @@ class Ros2Sink:
         self._publisher.map_changes.wanted |= subscribers > self._map_subscribers
         self._map_subscribers = subscribers
         late, rate = self._late_s, self._sent / (now - self._reported_s)
-        faults = self._health.faulty()
-        text = ", ".join(faults) if faults else "publishing" if late < LATE_S else f"{late:.1f} s behind its pace"
+        faults, behind = self._health.faulty(), [f"{late:.1f} s behind its pace"] if late >= LATE_S else []
+        text = ", ".join([*faults, *behind]) or "publishing"
         values = [("messages a second", f"{rate:.1f}"), ("most behind [s]", f"{late:.3f}")]
         values += [("waiting messages", str(self._messages.qsize()))]
         values += [(f"{topic}: frames", str(count)) for topic, count in self._publisher.counts.items()]
