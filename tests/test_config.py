@@ -95,3 +95,12 @@ def test_a_bad_option_is_told_apart_from_the_file(tmp_path: Path) -> None:
 def test_a_missing_file_is_named() -> None:
     with pytest.raises(ul.InputError, match=r"nowhere.yaml: No such file"):
         read_scenario("nowhere.yaml")
+
+
+def test_an_option_brings_the_one_value_that_fits_it_unless_that_is_given_too() -> None:
+    tree = {"name": "x", "flight": {"vehicle": "ideal"}, "image": {"method": "backprojection"}}
+    assert make_scenario(tree, options=["sensing.fidelity=thesis"]).image.method == "summation"
+    assert make_scenario(tree, options=["flight.guard.on=true"]).flight.vehicle == "hector"
+    assert make_scenario(tree, options=["seed=1"]).flight.vehicle == "ideal"
+    with pytest.raises(ul.InputError, match="has to be summation"):
+        make_scenario(tree, options=["sensing.fidelity=thesis", "image.method=backprojection"])

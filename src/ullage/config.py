@@ -354,7 +354,31 @@ def _overlaid(tree: dict[str, Any], options: Sequence[str]) -> dict[str, Any]:
             place[leaf] = load_yaml(text, where="-o")
         except InputError as error:
             raise InputError(f"cannot read -o {key}={shown(text)}: {error.what}", allowed="a YAML value") from None
+    given = {option.partition("=")[0] for option in options}
+    for (key, value), (follows, wanted) in IMPLIED:
+        group, leaf = follows.split(".")
+        if (
+            key in given
+            and follows not in given
+            and _at(out, key) == value
+            and isinstance(out.setdefault(group, {}), dict)
+        ):
+            out[group][leaf] = wanted
     return out
+
+
+IMPLIED = (
+    (("sensing.fidelity", "thesis"), ("image.method", "summation")),  # its amplitudes have no phase
+    (("flight.guard.on", True), ("flight.vehicle", "hector")),  # an ideal vehicle cannot brake
+)
+"""Options with a value that no other value of a second field fits; the second follows, unless it is an option too."""
+
+
+def _at(tree: Any, key: str) -> Any:
+    """The value at `a.b.c` of nested groups; None where there is none."""
+    for name in key.split("."):
+        tree = tree.get(name) if isinstance(tree, dict) else None
+    return tree
 
 
 def scenario_text(spec: Spec, *, commented: bool = True) -> str:

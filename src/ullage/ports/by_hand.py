@@ -296,6 +296,11 @@ class HandFlownSource(UnboundedSource):
     def _over(self) -> bool:
         return self._duration_s is not None and self._done_ns >= self._duration_s * 1e9
 
+    def _cheaper(self) -> str:
+        """Options that cost less, as `ullage fly` takes them."""
+        law = () if self._options.fidelity == "thesis" else ("-o sensing.fidelity=thesis",)
+        return ", ".join((*law, "-o sensing.rate_hz=HZ or fewer radars"))
+
     def _complain(self) -> None:
         self.counters.report()
         if (touched := self.flight.vehicle.touched) > self._touched:
@@ -303,7 +308,7 @@ class HandFlownSource(UnboundedSource):
             self._log_throttled("the vehicle touches something")
         if (behind_s := self._behind_s()) > BEHIND_S:
             self._log_throttled(
-                f"the radars are {behind_s:.1f} s behind the flight; give fidelity=thesis or rate_hz= to keep up",
+                f"the radars are {behind_s:.1f} s behind the flight; {self._cheaper()} cost less",
                 kind="behind",
             )
 

@@ -137,11 +137,12 @@ def progress_bar(title: str, *, total: float | None, unit: str = "", rated: bool
     """
     if not console.is_terminal:
         log(title)
+    left = TextColumn("left"), TimeRemainingColumn()  # of a job that has an end
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TimeElapsedColumn(),
-        *((TextColumn("{task.fields[forecast]}"),) if rated else (TextColumn("left"), TimeRemainingColumn())),
+        *((TextColumn("{task.fields[forecast]}"),) if rated else left if total else ()),
     )
     with Progress(*columns, console=console, disable=_quiet() or not console.is_terminal) as bar:
         task = bar.add_task(title, total=total, forecast="")
