@@ -1,4 +1,4 @@
-"""Cells of a map that stands at an angle to the world, laid along the world's axes."""
+"""Cells of a map that stands at an angle to the world, rotated onto the axes of the world."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SAMPLES = (-1 / 3, 0.0, 1 / 3)
 def along_axes(
     percent: NDArray[np.int8], origin_m: tuple[float, float, float], step_m: float, *, yaw: float, occupied_from: int
 ) -> tuple[Grid, NDArray[np.int8]]:
-    """Lay a map that is turned about its origin along the axes of the world.
+    """Rotate a map that is turned about its origin onto the axes of the world.
 
     A new cell takes what lies at its centre, or the most occupied of nine places in it, so walls stay closed.
 
