@@ -58,21 +58,24 @@ class LikelihoodMapper:
                 "the likelihood mapper maps a plane", where="grid", allowed="a grid with dims=2, or method='rules'"
             )
         grid.check_memory(40, "the map")
-        self.grid = grid
-        self.spec = spec or LikelihoodSpec()
+        self._echoes = EchoFinder(spec := self._set_up(grid, spec, vehicle_radius_m))
+        self._pose_errors = self._echoes.pose_errors
+        self._floor_z_m = None if floor_z_m is None else checks.number("floor_z_m", floor_z_m, "mapper")
+        self._tracker = SurfaceTracker(spec)
+        self._silence = Silence(grid, spec)
+        self._flown: dict[tuple[int, int], None] = {}
+
+    def _set_up(self, grid: Grid, spec: LikelihoodSpec | None, vehicle_radius_m: float | None) -> LikelihoodSpec:
+        """Set what planes and volumes share; return the parameters."""
+        self.grid, self.spec = grid, spec or LikelihoodSpec()
         if vehicle_radius_m is not None:
             self.spec = replace(self.spec, vehicle_m=radius_of_vehicle(vehicle_radius_m))
-        self._floor_z_m = None if floor_z_m is None else checks.number("floor_z_m", floor_z_m, "mapper")
-        self._keyframes = KeyframeSelector(self.spec)
-        self._echoes = EchoFinder(self.spec)
-        self._tracker = SurfaceTracker(self.spec)
-        self._work = Workload()
-        self._silence = Silence(grid, self.spec)
+        self._keyframes, self._work = KeyframeSelector(self.spec), Workload()
         self._wavelength_m = self._fold_m = 0.0
         self._phase: bool | None = None
-        self._flown: dict[tuple[int, int], None] = {}
         self._apertures = self._thin = 0  # keyframes, and those with too few frames for a search
         self._published: OccupancyMap | None = None
+        return self.spec
 
     def update(self, frames: Recording) -> None:
         """Add frames of one or several sensors.
@@ -127,7 +130,7 @@ class LikelihoodMapper:
         echoes = yield from self._echoes.steps(key, known)
         yield
         self._tracker.update(echoes)
-        self._silence.add(key, echoes, self._echoes.left, self._echoes.pose_errors.sigma_m)
+        self._silence.add(key, echoes, self._echoes.left, self._pose_errors.sigma_m)
 
     def finish(self) -> None:
         """Use the frames that waited for a complete aperture."""
@@ -138,29 +141,29 @@ class LikelihoodMapper:
             text += "nothing is mapped there; fly slower, or record more frames a second"
             warnings.warn(text, UllageWarning, stacklevel=3)
 
-    def _rendered(self) -> tuple[OccupancyMap, list[Surface], Bools]:
+    def _rendered(self) -> tuple[OccupancyMap, tuple[MappedSurface, ...]]:
+        """Return the map so far, and its surfaces."""
         self._work.finish()
         surfaces = self._tracker.confirmed()
         flown = (np.array(list(self._flown), float).reshape(-1, 2) + 0.5) * CELL_M
         radar = self._wavelength_m, self._fold_m
         omap, kept = render(self.grid, surfaces, flown, self._silence, *radar, self.spec)
-        return omap, surfaces, kept
+        return omap, _mapped(surfaces, kept)
 
     def map(self) -> OccupancyMap:
         """The map so far, with its surfaces."""
-        omap, surfaces, kept = self._rendered()
-        return OccupancyMap(omap.grid, omap.tiles, omap.method, surfaces=_mapped(surfaces, kept))
+        omap, surfaces = self._rendered()
+        return OccupancyMap(omap.grid, omap.tiles, omap.method, surfaces=surfaces)
 
     def surfaces(self) -> list[MappedSurface]:
         """The surfaces that are sure so far, in order of their first echo."""
-        _, surfaces, kept = self._rendered()
-        return list(_mapped(surfaces, kept))
+        return list(self._rendered()[1])
 
     @property
     def pose_sigma_m(self) -> float:
         """White error of one coordinate of the positions, as the latest echoes show it (standard deviation) [m]."""
         self._work.finish()
-        return self._echoes.pose_errors.sigma_m
+        return self._pose_errors.sigma_m
 
     def changed(self) -> Changes:
         """The blocks in which the map differs from that of the last call."""

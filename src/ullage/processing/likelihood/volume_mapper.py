@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,18 +10,17 @@ from ullage import checks
 from ullage.antenna import cube
 from ullage.arrays import Bools, Floats
 from ullage.data import Recording
-from ullage.grids import UNKNOWN, Changes, Grid, MappedSurface, OccupancyMap
+from ullage.grids import UNKNOWN, Grid, MappedSurface, OccupancyMap
 from ullage.processing.baseband import as_baseband
 from ullage.processing.inverse_sensor import mirror_m
 from ullage.processing.likelihood.directions import DirectionFinder
-from ullage.processing.likelihood.keyframes import Keyframe, KeyframeSelector
+from ullage.processing.likelihood.keyframes import Keyframe
 from ullage.processing.likelihood.level_edges import LevelEdges
 from ullage.processing.likelihood.mapper import CELL_M, LikelihoodMapper
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.volume_map import Quiet, Radar, quiet_of, render, smoothed
 from ullage.processing.likelihood.volume_surfaces import SpatialSurface, SpatialTracker
-from ullage.processing.likelihood.workload import Workload
-from ullage.processing.mapper_door import in_order, radius_of_vehicle
+from ullage.processing.mapper_door import in_order
 
 QUIET_M = 0.1  # places whose silence is kept apart
 
@@ -50,24 +48,15 @@ class VolumeMapper(LikelihoodMapper):
         vehicle_radius_m: float | None = None,
     ) -> None:
         grid.check_memory(60, "the map")
-        self.grid = grid
-        self.spec = spec or LikelihoodSpec()
-        if vehicle_radius_m is not None:
-            self.spec = replace(self.spec, vehicle_m=radius_of_vehicle(vehicle_radius_m))
-        self._keyframes = KeyframeSelector(self.spec)
-        self._finder = DirectionFinder(self.spec)
+        self._finder = DirectionFinder(spec := self._set_up(grid, spec, vehicle_radius_m))
+        self._pose_errors = self._finder.pose_errors
         floor = None if floor_z_m is None else checks.number("floor_z_m", floor_z_m, "mapper")
-        self._space = SpatialTracker(self.spec, floor)
-        self._work = Workload()
+        self._space = SpatialTracker(spec, floor)
         self._edges = LevelEdges(grid)
         self._cubes: dict[str, Floats] = {}
         self._mirror_m = np.inf
-        self._wavelength_m = self._fold_m = 0.0
         self._places: dict[tuple[int, ...], None] = {}
         self._quiet: dict[tuple[int, ...], Quiet] = {}
-        self._phase: bool | None = None
-        self._apertures = self._thin = 0  # keyframes, and those with too few frames for a search
-        self._published: OccupancyMap | None = None
 
     def update(self, frames: Recording) -> None:
         """Add frames of one or several sensors.
@@ -98,40 +87,17 @@ class VolumeMapper(LikelihoodMapper):
             self._edges.add(key, echoes, self._space.surfaces)
             self._quiet[tuple(np.floor(key.position / QUIET_M).astype(int).tolist())] = quiet_of(echoes, number)
 
-    def _drawn(self) -> tuple[OccupancyMap, list[SpatialSurface], Bools]:
+    def _rendered(self) -> tuple[OccupancyMap, tuple[MappedSurface, ...]]:
         self._work.finish()
         surfaces = self._space.confirmed()
         flown = (np.array(list(self._places), float).reshape(-1, 3) + 0.5) * CELL_M
         if not len(flown):
             unknown = np.full(self.grid.shape, UNKNOWN, np.int8)
-            return OccupancyMap(self.grid, unknown, "likelihood"), [], np.zeros(0, bool)
+            return OccupancyMap(self.grid, unknown, "likelihood"), ()
         radar = Radar(np.stack(list(self._cubes.values())), self._wavelength_m, self._fold_m, self._mirror_m)
         ends = self._edges.nearest(float(flown[:, 2].min()), float(flown[:, 2].max()))
         omap, kept = render(self.grid, surfaces, list(self._quiet.values()), flown, radar, self.spec, ends)
-        return omap, surfaces, kept
-
-    def map(self) -> OccupancyMap:
-        """The map so far, with its surfaces."""
-        omap, surfaces, kept = self._drawn()
-        return OccupancyMap(omap.grid, omap.tiles, omap.method, surfaces=_mapped(surfaces, kept))
-
-    def surfaces(self) -> list[MappedSurface]:
-        """The surfaces that are sure to exist so far, in order of their first echo."""
-        _, surfaces, kept = self._drawn()
-        return list(_mapped(surfaces, kept))
-
-    @property
-    def pose_sigma_m(self) -> float:
-        """White error of one coordinate of the positions, as the latest echoes show it (standard deviation) [m]."""
-        self._work.finish()
-        return self._finder.pose_errors.sigma_m
-
-    def changed(self) -> Changes:
-        """The blocks in which the map differs from that of the last call."""
-        now = self._drawn()[0]
-        out = now.changes(self._published)
-        self._published = now
-        return out
+        return omap, _mapped(surfaces, kept)
 
 
 def _mapped(surfaces: list[SpatialSurface], kept: Bools) -> tuple[MappedSurface, ...]:
