@@ -115,7 +115,7 @@ class Count(Protocol):
         """Count a piece."""
 
 
-class _Lane:
+class _SinkThread:
     """Gives items to one sink, in a thread of its own unless the sink needs the main one.
 
     Args:
@@ -139,7 +139,7 @@ class _Lane:
         if self.error is None:
             self.queue.put(_Piece(item, came_s), topic=self.name, count=count, size=size, first=first)
 
-    def work_off(self, timeout_s: float = 0.0) -> None:
+    def write_waiting(self, timeout_s: float = 0.0) -> None:
         """Give the sink what waits."""
         while (found := self.queue.get(timeout_s)) is not None:
             self.sink.write(found.item)
@@ -151,7 +151,7 @@ class _Lane:
         """Give the sink all that waits, however old, and end the thread."""
         self.queue.lag_s, self._closing = None, True
         if self._thread is None:
-            self.work_off()
+            self.write_waiting()
         else:
             self._thread.join()
 
@@ -159,7 +159,7 @@ class _Lane:
         try:
             while True:
                 closing = self._closing
-                self.work_off(0.0 if closing else POLL_S)
+                self.write_waiting(0.0 if closing else POLL_S)
                 if closing:
                     return
         except BaseException as error:  # raised in the main thread
@@ -186,7 +186,7 @@ class LiveLoop:
         self._delays, self._ages = Delays(), Delays()
         self._urgent = bool(self._first) or any(getattr(sink, "takes_obstacles", False) for sink in sinks)
         self._sends = any(getattr(sink, "sends", False) for sink in sinks)
-        self._lanes = [_Lane(sink, self.counters, self._lag_s, self._noting(sink)) for sink in sinks]
+        self._sink_threads = [_SinkThread(sink, self.counters, self._lag_s, self._noting(sink)) for sink in sinks]
         self.interrupted = False
         self._received = threading.Event()  # no more frames come
         self._abandoned = False
@@ -196,7 +196,7 @@ class LiveLoop:
         self._newest_ns = 0
         self._done_ns: int | None = None
         self._most_behind_s = self._status_s = 0.0
-        self._told_lost = 0
+        self._reported_lost = 0
 
     @property
     def behind_s(self) -> float:
@@ -213,13 +213,13 @@ class LiveLoop:
         The first Ctrl-C ends the source, and what was received is worked off. The second one ends that too.
         """
         passing = self._source.passing
-        passing.to(lambda item: self._hand_on(item, first=True))
+        passing.to(lambda item: self._publish(item, first=True))
         if self._lag_s and (keep_up := getattr(self._source, "keep_up", None)) is not None:
             keep_up(min(self._lag_s, FRESH_S) if self._urgent else self._lag_s)
         thread = threading.Thread(target=self._receive, name="ullage receiving", daemon=True)
         with _short_turns(), StopFlag(raises_at=3) as stop:
             thread.start()
-            while self._goes_on(stop):
+            while self._continues(stop):
                 before = self._received.is_set()
                 if (chunk := self._next()) is None:
                     if before:
@@ -227,7 +227,7 @@ class LiveLoop:
                     continue
                 for stage in self._later:
                     for item in stage.update(chunk):
-                        self._hand_on(item)
+                        self._publish(item)
                 self._done(chunk)
                 if progress is not None:
                     progress(self._count.duration_s)
@@ -236,11 +236,11 @@ class LiveLoop:
             self._end(thread)
             return self._finish()
 
-    def _goes_on(self, stop: StopFlag) -> bool:
+    def _continues(self, stop: StopFlag) -> bool:
         """Whether frames are still used; hands the wish to end on to the source."""
-        for lane in self._lanes:
-            if lane.error is not None:
-                raise lane.error
+        for thread in self._sink_threads:
+            if thread.error is not None:
+                raise thread.error
         if self._error is not None:
             raise self._error
         if stop.requested and not self.interrupted:
@@ -274,13 +274,13 @@ class LiveLoop:
         came_s = time.monotonic()
         for stage in self._first:
             for item in stage.update(chunk):
-                self._hand_on(item, came_s=came_s)
+                self._publish(item, came_s=came_s)
         count, size = sum(map(len, chunk.values())), sum(part.samples.nbytes for part in chunk.values())
         self._count.add(chunk)
         self._done_ns = self._done_ns if self._done_ns is not None else min(int(p.t_ns[0]) for p in chunk.values())
         self._newest_ns = max(int(part.t_ns[-1]) for part in chunk.values())
-        for lane in self._lanes:
-            lane.put(chunk, count=count, size=size)
+        for thread in self._sink_threads:
+            thread.put(chunk, count=count, size=size)
         self._backlog.put(_Piece(chunk, came_s), topic="map and image", count=count, size=size)
         while self._lag_s is None and not self._abandoned and self._full():
             time.sleep(POLL_S)
@@ -288,14 +288,17 @@ class LiveLoop:
 
     def _full(self) -> bool:
         """Whether a queue that drops nothing has no room."""
-        return any(queue.full for queue in (self._backlog, *(lane.queue for lane in self._lanes if not lane.error)))
+        return any(
+            queue.full
+            for queue in (self._backlog, *(thread.queue for thread in self._sink_threads if not thread.error))
+        )
 
-    def _hand_on(self, item: Any, *, came_s: float = 0.0, first: bool = False) -> None:
+    def _publish(self, item: Any, *, came_s: float = 0.0, first: bool = False) -> None:
         """Hand an item to all sinks; obstacles and state overtake frames and maps."""
         if came_s and not self._sends:
             self._note(item, came_s)
-        for lane in self._lanes:
-            lane.put(item, came_s=came_s, first=first or came_s > 0)
+        for thread in self._sink_threads:
+            thread.put(item, came_s=came_s, first=first or came_s > 0)
 
     def _noting(self, sink: Any) -> Callable[[Any, float], None]:
         return self._note if getattr(sink, "sends", False) else lambda item, came_s: None
@@ -307,9 +310,9 @@ class LiveLoop:
 
     def _next(self) -> Chunk | None:
         """Return what waits for the slow stages, as one piece; None where nothing does."""
-        for lane in self._lanes:
-            if getattr(lane.sink, "main_thread", False):
-                lane.work_off()
+        for thread in self._sink_threads:
+            if getattr(thread.sink, "main_thread", False):
+                thread.write_waiting()
         self._working_s = None
         if (held := self._held) is None:
             if (found := self._backlog.get(POLL_S)) is None:
@@ -334,8 +337,8 @@ class LiveLoop:
             return
         self._status_s = now
         behind_s, lost = self.behind_s, self._backlog.lost
-        late = behind_s > LATE_S or lost > self._told_lost
-        self._told_lost = lost
+        late = behind_s > LATE_S or lost > self._reported_lost
+        self._reported_lost = lost
         text = f"map and image are {behind_s:.1f} s behind" if late else "map and image keep up"
         values = [
             ("behind [s]", f"{behind_s:.3f}"),
@@ -344,7 +347,7 @@ class LiveLoop:
             ("obstacles: 99 % within [s]", f"{self._delays.within_s(0.99):.3f}"),
         ]
         data = encode.diagnostics_message(self._newest_ns, int(late), "ullage: run", text, values)
-        self._hand_on(Passed(self._newest_ns, "/diagnostics", encode.DIAGNOSTICS, data), first=True)
+        self._publish(Passed(self._newest_ns, "/diagnostics", encode.DIAGNOSTICS, data), first=True)
 
     def _end(self, thread: threading.Thread) -> None:
         """End the source where it has not ended by itself."""
@@ -360,18 +363,18 @@ class LiveLoop:
             raise self._error
         results = tuple(item for stage in (*self._first, *self._later) for item in stage.finish())
         for item in results:
-            self._hand_on(item)
-        for lane in self._lanes:
-            lane.finish()
-            if lane.error is not None:
-                raise lane.error
+            self._publish(item)
+        for thread in self._sink_threads:
+            thread.finish()
+            if thread.error is not None:
+                raise thread.error
         return results
 
     def statistics(self) -> LiveStatistics:
         """How well the run kept up."""
         rest = len(self._backlog) > 0 or self._held is not None
         left_out_s = (self._newest_ns - (self._done_ns or 0)) * 1e-9 if rest else 0.0
-        unsent = tuple((lane.name, lane.queue.lost) for lane in self._lanes if lane.queue.lost)
+        unsent = tuple((thread.name, thread.queue.lost) for thread in self._sink_threads if thread.queue.lost)
         return LiveStatistics(
             self._backlog.lost, unsent, left_out_s, self._most_behind_s, len(self._delays), self._delays.within_s(0.5),
             self._delays.within_s(0.99), self._ages.within_s(0.99),

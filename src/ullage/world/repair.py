@@ -75,12 +75,12 @@ def repaired(vertices: Floats, faces: Ints, corner_normals: Floats | None = None
     flats = _flat_faces(places[tri], a, b, rounded)
     own, corner = np.unique(np.repeat(body, 3) * max(len(places), 1) + tri.ravel(), return_inverse=True)
     place, tri = own % max(len(places), 1), corner.reshape(-1, 3)  # corners of each body are its own from here on
-    cut, owner = _recut(places[place], tri, flats, rounded)
-    normals = None if normals is None else _taken_over(normals, places[place], tri, flats.of, cut, owner)
+    cut, owner = _retriangulated(places[place], tri, flats, rounded)
+    normals = None if normals is None else _averaged_normals(normals, places[place], tri, flats.of, cut, owner)
     cut = place[cut]
     once, _ = _single(cut)
     cut, owner, normals = cut[once], owner[once], None if normals is None else normals[once]
-    cut, normals, closed = _wound(places, cut, normals)
+    cut, normals, closed = _oriented(places, cut, normals)
     sides = np.zeros(len(flats.normals))
     sides[owner[closed]] = np.einsum("fi,fi->f", _crosses(places[cut[closed]]), flats.normals[owner[closed]])
     turned = int((sides[flats.of] * flats.sides < 0)[~twice].sum())
@@ -176,14 +176,14 @@ def _split(points: Floats, tri: Longs) -> tuple[Longs, Longs, Longs, int]:
     a, b = order[first[many == 2]], order[first[many == 2] + 1]
     body = _linked(a // 3, b // 3, len(tri))
     left, edge = order[np.repeat(many > 2, many)], np.repeat(first[many > 2], many[many > 2])
-    c, d = _couples(edge * len(tri) + body[left // 3], left)
+    c, d = _pairs_of_keys(edge * len(tri) + body[left // 3], left)
     rest = ~np.isin(left, np.concatenate([c, d]))
     e, f = _continued(points, tri, left[rest], edge[rest])
     a, b = np.concatenate([a, c, e]), np.concatenate([b, d, f])
     return a, b, _linked(a // 3, b // 3, len(tri)), int((many > 2).sum())
 
 
-def _couples(keys: Longs, values: Longs) -> tuple[Longs, Longs]:
+def _pairs_of_keys(keys: Longs, values: Longs) -> tuple[Longs, Longs]:
     """Values whose key (n) just one other has, and those others."""
     order = np.argsort(keys, kind="stable")
     first = np.flatnonzero(np.diff(keys[order], prepend=-1))
@@ -271,7 +271,7 @@ def _bends(corners: Floats, cross: Floats, a: Longs, b: Longs) -> tuple[Floats, 
     return bend, np.where(bend < np.pi / 2, gap, np.inf)
 
 
-def _recut(points: Floats, tri: Longs, flats: _FlatFaces, rounded: float) -> tuple[Longs, Longs]:
+def _retriangulated(points: Floats, tri: Longs, flats: _FlatFaces, rounded: float) -> tuple[Longs, Longs]:
     """Triangles (n, 3) of flat faces cut anew, wound about their normals, and the face (n) of each."""
     wound = np.where(flats.sides[:, None] > 0, tri, tri[:, ::-1])
     size = np.bincount(flats.of)
@@ -390,7 +390,7 @@ def _of_many(points: Floats, rows: Longs, normals: Floats) -> tuple[Longs, Longs
     return cut[whole], some[of[whole]]
 
 
-def _taken_over(normals: Floats, points: Floats, tri: Longs, of: Longs, cut: Longs, owner: Longs) -> Floats:
+def _averaged_normals(normals: Floats, points: Floats, tri: Longs, of: Longs, cut: Longs, owner: Longs) -> Floats:
     """Normals (n, 3, 3) at the corners of the faces cut anew: means of those that their flat faces had there."""
     sides = np.roll(points[tri], -1, 1) - points[tri]
     sides /= np.maximum(np.linalg.norm(sides, axis=2, keepdims=True), 1e-300)
@@ -404,9 +404,9 @@ def _taken_over(normals: Floats, points: Floats, tri: Longs, of: Longs, cut: Lon
     return np.asarray(out / np.maximum(np.linalg.norm(out, axis=2, keepdims=True), 1e-300))
 
 
-def _wound(points: Floats, tri: Longs, normals: Floats | None) -> tuple[Longs, Floats | None, Bools]:
+def _oriented(points: Floats, tri: Longs, normals: Floats | None) -> tuple[Longs, Floats | None, Bools]:
     """Faces (f, 3), with normals at their corners, wound as the most of their neighbours; whether they (f) close."""
-    back, closed = _against(points, tri)
+    back, closed = _misoriented(points, tri)
     tri = np.where(back[:, None], tri[:, ::-1], tri)
     if normals is None:
         return tri, None, closed
@@ -415,7 +415,7 @@ def _wound(points: Floats, tri: Longs, normals: Floats | None) -> tuple[Longs, F
     return tri, np.where(inward[..., None], -normals, normals), closed
 
 
-def _against(points: Floats, tri: Longs) -> tuple[Bools, Bools]:
+def _misoriented(points: Floats, tri: Longs) -> tuple[Bools, Bools]:
     """Which faces (f) are wound against the most of their neighbours, and which are part of closed bodies.
 
     A body that is wound alike keeps its sides, as a room has that faces inward. One that is not is turned outward if
@@ -443,6 +443,6 @@ def _against(points: Floats, tri: Longs) -> tuple[Bools, Bools]:
     lead = np.unique(body, return_index=True)[1]
     axis = abs(cross[lead]).argmax(1)
     tie = sign[lead] * np.sign(cross[lead, axis])
-    way = np.where(closed, np.sign(volume), np.where(abs(most) > FILLED * total, np.sign(most), tie))
-    way = np.where(abs(most) > (1 - FILLED) * total, np.sign(most), way)
-    return np.asarray(sign != way[body]), closed[body]
+    side = np.where(closed, np.sign(volume), np.where(abs(most) > FILLED * total, np.sign(most), tie))
+    side = np.where(abs(most) > (1 - FILLED) * total, np.sign(most), side)
+    return np.asarray(sign != side[body]), closed[body]
