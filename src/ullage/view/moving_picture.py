@@ -206,7 +206,7 @@ class _Show:
         pen = ImageDraw.Draw(out)
         edge: dict[str, Any] = {"stroke_width": 2, "stroke_fill": tuple(int(255 * v) for v in SKY)}
         pen.text((12, 8), f"{t:5.1f} s", fill=INK, font=_font(18), **edge)
-        pen.text((12, 32), "amber: mapped, green: free", fill=SOFT, font=_font(12), **edge)
+        pen.text((12, 32), "amber: occupied, green: free", fill=SOFT, font=_font(12), **edge)
         if missed := [one["name"] for one in (self._tree["world"] or {"objects": []})["objects"]
                       if one["state"] == "missed"]:  # fmt: skip
             pen.text((12, 48), f"red: missed ({', '.join(missed)})", fill=_bytes(MISSED), font=_font(12), **edge)
