@@ -37,7 +37,7 @@ TOGETHER = 64
 """Frames of a radar that the slow stages take at once, of those that wait."""
 STATUS_S = 1.0
 FRESH_S = STALE_S / 2
-"""Where obstacles are found, the source leaves out frames that are later [s]: nobody takes obstacles so old."""
+"""Where obstacles are found, the source leaves out frames that are later [s]: no autopilot uses obstacles that old."""
 LATE_S = 1.0
 """A map that is behind by more makes `/diagnostics` a warning [s]."""
 SWITCH_S = 0.001
