@@ -127,5 +127,5 @@ def test_a_taken_port_is_refused_before_anything_is_computed() -> None:
         listening.bind(("", 0))
         listening.listen()
         port = listening.getsockname()[1]
-        with pytest.raises(ul.InputError, match=f"cannot listen on port {port}"):
+        with pytest.raises(ul.InputError, match=f"cannot listen on 127.0.0.1 port {port}"):
             ul.sink(f"viewer:web?port={port}")
