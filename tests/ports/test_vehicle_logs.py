@@ -77,6 +77,15 @@ def test_the_log_of_an_autopilot_is_the_track_in_the_folder_or_beside_the_file(
     assert_same(track_of(ul.open(f"{radar}?track={moved}")), shifted, metres=1e-5)
 
 
+@needs_pymavlink
+def test_a_log_whose_records_have_no_length_is_refused(radar: Path) -> None:
+    layout = b"\xa3\x95\x80\x40\x24XKF1"
+    damaged = logs.dataflash(flown()).replace(layout, layout[:4] + b"\x00XKF1")
+    (radar.parent / "track.bin").write_bytes(damaged)
+    with pytest.raises(ul.InputError, match=r"track\.bin: records of kind 64 of 0 bytes.*3 bytes or more"):
+        ul.open(radar.parent)
+
+
 @pytest.mark.skipif(importlib.util.find_spec("pyulog") is not None, reason="pyulog is installed")
 def test_a_missing_library_is_named_with_its_extra(radar: Path) -> None:
     (radar.parent / "track.ulg").write_bytes(b"ULog\x01\x12\x35\x01")

@@ -7,6 +7,7 @@ a datum; where a log has no attitude, it is that of the world [ULog] [NMEA0183].
 from __future__ import annotations
 
 import operator
+import re
 import warnings
 from collections.abc import Iterable
 from functools import reduce
@@ -33,6 +34,8 @@ Fix = tuple[int, float, float, float]
 MOST_M, MOST_NS = 1e6, 9_000_000_000_000_000_000
 ESTIMATES = ("XKF1", "NKF1")
 """Messages of ArduPilot's filters that hold place and attitude: those of EKF3, then EKF2."""
+LAYOUT = re.compile(rb"\xa3\x95\x80(.)(.)", re.DOTALL)
+"""The start of a record of ArduPilot that says how long a kind of record is: that kind, its bytes with their header."""
 DAY_NS = 86_400_000_000_000
 
 
@@ -112,6 +115,9 @@ def read_dataflash(path: Path) -> Trajectory:
     """
     library: Any = need("pymavlink.DFReader", extra="mavlink")
     with reading(path):
+        for kind, size in LAYOUT.findall(path.read_bytes()):
+            if size[0] < 3:  # the library would read the same bytes for ever
+                raise InputError(f"records of kind {kind[0]} of {size[0]} bytes", where=path, allowed="3 bytes or more")
         log = library.DFReader_binary(str(path))
         rows: dict[str, list[list[float]]] = {name: [] for name in ESTIMATES}
         try:
