@@ -63,8 +63,8 @@ $(VENV)/.view: $(VENV)/.dev requirements-view.lock
 	@touch $@
 
 lint: $(VENV)/.dev
-	$(BIN)/ruff format --check src tests tools benchmarks examples
-	$(BIN)/ruff check src tests tools benchmarks examples
+	$(BIN)/ruff format --check src studies tests tools benchmarks examples
+	$(BIN)/ruff check src studies tests tools benchmarks examples
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 

@@ -40,10 +40,10 @@ NAN = float("nan")
 
 def record(path: Path, scenario: str, seconds: float) -> None:
     """Simulate the first seconds of a flight with four radars at 17 Hz each."""
+    from studies.thesis.tables import stream_part
     from ullage.experiments.catalog import find_scenario
     from ullage.experiments.simulated import prepare
     from ullage.ports import sink
-    from ullage.thesis.tables import stream_part
 
     found = find_scenario(scenario)
     sensing = found.sensing.model_copy(update={"rate_hz": 17.0})

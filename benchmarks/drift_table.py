@@ -13,9 +13,9 @@ import argparse
 import numpy as np
 
 import ullage as ul
+from studies.thesis.flights import believed, drift, judged_room, level_round, received
 from ullage.data import Frames, Trajectory
 from ullage.processing.drift import correct_drift
-from ullage.thesis.flights import believed, drift, judged_room, level_round, received
 
 DRIFT_M, TURN_DEG = 0.2, 2.0
 SMOOTH_S, ROUGH_S = 5.0, 1.5

@@ -25,12 +25,12 @@ from scipy.spatial import cKDTree
 from wire_table import OBJECTS, angles, hits_of
 
 import ullage as ul
+from studies.thesis.flights import level_round, rising_round
 from ullage.data import Frames, Trajectory
 from ullage.geometry import quat_matrix, rpy_quat
 from ullage.grids import OccupancyMap
 from ullage.processing.metrics import cell_centres
 from ullage.processing.truth import in_sight, spaced_looks, surface_of
-from ullage.thesis.flights import level_round, rising_round
 from ullage.world.scene import Scene
 
 SIZE, COPIES, CLEAR_M, APART_M = (12.0, 8.0, 3.0), 2, 0.5, 0.7

@@ -10,8 +10,8 @@ import argparse
 import numpy as np
 
 import ullage as ul
+from studies.thesis.flights import SIZE, level_round, received
 from ullage.data import Frames, Trajectory
-from ullage.thesis.flights import SIZE, level_round, received
 from ullage.world.scene import Scene
 
 OBJECTS = {"3 mm wire": 0.0015, "1 cm pole": 0.005, "5 cm pole": 0.025}

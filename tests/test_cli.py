@@ -356,3 +356,16 @@ def test_output_onto_a_full_disk_is_one_line(tmp_path: Path, words: list[str]) -
                               cwd=tmp_path, timeout=120, check=False)  # fmt: skip
     assert done.returncode == 2
     assert done.stderr.strip().splitlines() == ["ullage: [Errno 28] No space left on device"]
+
+
+@pytest.mark.parametrize("verb", ["validate", "reproduce"])
+def test_an_installed_package_says_where_the_studies_are(verb: str, tmp_path: Path) -> None:
+    site = tmp_path / "lib" / "site"
+    site.mkdir(parents=True)
+    (site / "ullage").symlink_to(Path(ul.__file__).parent)
+    command, path = [sys.executable, "-m", "ullage", verb], os.environ | {"PYTHONPATH": str(site)}
+    done = subprocess.run(command, cwd=tmp_path, env=path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert re.fullmatch(
+        r"ullage: studies/: the studies are not installed.* source tree.*a checkout of http.*\n", done.stderr
+    )

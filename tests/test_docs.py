@@ -17,6 +17,7 @@ from pydantic import BaseModel
 import ullage as ul
 from code_map import BOXES
 from reference_pages import references_page, scenario_page
+from studies.thesis.docs_page import write_docs
 from ullage.config import Scenario
 from ullage.errors import InputError
 from ullage.specs import RadarSpec
@@ -64,7 +65,7 @@ def test_the_page_of_references_has_every_entry() -> None:
 
 def test_the_code_map_names_packages_and_files_that_exist() -> None:
     page, recipes = (DOCS / "architecture.md").read_text(encoding="utf-8"), (ROOT / "CONTRIBUTING.md").read_text()
-    named = set(re.findall(r"`((?:src|tests|tools|benchmarks|examples|ullage)/[\w/.-]+)`", page + recipes))
+    named = set(re.findall(r"`((?:src|studies|tests|tools|benchmarks|examples|ullage)/[\w/.-]+)`", page + recipes))
     below = [f"src/{name}" if name.startswith("ullage/") else name for name in named]
     drawn = [f"src/ullage/{file}" for box in BOXES for file in box.files]
     assert len(named) > 20
@@ -296,5 +297,5 @@ def test_the_first_screen_of_a_page_shows_something(name: str) -> None:
 
 def test_the_page_of_the_reproduction_is_not_written_without_results(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no experiment here .*a folder of `ullage reproduce`"):
-        tool("reproduce_page").write_docs(tmp_path, tmp_path)
+        write_docs(tmp_path, tmp_path)
     assert not (tmp_path / "reproduce.md").exists()

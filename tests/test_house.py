@@ -17,6 +17,7 @@ import ullage as ul
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "src" / "ullage").rglob("*.py"))
+STUDIES = sorted((ROOT / "studies").rglob("*.py"))
 HEAVY = {
     "matplotlib",
     "numba",
@@ -60,7 +61,7 @@ def test_every_public_name_is_there_and_has_a_docstring(name: str) -> None:
     assert name == "C0" or thing.__doc__
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT / "src")))
+@pytest.mark.parametrize("path", SOURCES + STUDIES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_a_file_says_what_it_is_for(path: Path) -> None:
     assert ast.get_docstring(parsed(path))
 
@@ -68,7 +69,7 @@ def test_a_file_says_what_it_is_for(path: Path) -> None:
 def test_every_source_named_is_in_the_references() -> None:
     known = set(re.findall(r"@\w+\{([^,]+),", (ROOT / "docs" / "references.bib").read_text(encoding="utf-8")))
     missing = {}
-    for path in SOURCES:
+    for path in SOURCES + STUDIES:
         for node in ast.walk(parsed(path)):
             if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) and (text := ast.get_docstring(node)):
                 keys = set(re.findall(r"\[([A-Z][A-Za-z-]*\d[\w-]*)", text)) - known

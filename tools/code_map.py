@@ -60,7 +60,7 @@ ARROWS = (
     ("maps", "view"),
 )  # fmt: skip
 BANDS = {
-    7.4: ("cli.py: commands", "thesis/: ullage reproduce", "experiments/: scenarios, run folders, sweeps, validation"),
+    7.4: ("studies/: the thesis, validation", "cli.py: commands", "experiments/: scenarios, run folders, sweeps"),
     6.65: ("pipeline.py: a source gives frames, stages process them, sinks take the results",),
     0.25: ("kernels/: compiled loops", "grids.py", "config.py: scenario files", "geometry.py", "errors.py",
            "plugins.py: parts of other packages"),

@@ -184,7 +184,7 @@ class Copy:
 
     def __init__(self, place: Path) -> None:
         self.folder = place / "tree"
-        for name in ("src", "tests", "integrations", "examples", "docs", "benchmarks"):
+        for name in ("src", "studies", "tests", "integrations", "examples", "docs", "benchmarks"):
             shutil.copytree(ROOT / name, self.folder / name, ignore=shutil.ignore_patterns("kernels-*"))
         shutil.copy(ROOT / "pyproject.toml", self.folder)
         if (ROOT.parent / "shared").exists():

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
     from ullage.config import Task
     from ullage.experiments.run import Report
     from ullage.experiments.sweep import Sweep
@@ -91,6 +93,30 @@ def where_to_run(jobs: int | None, scheduler: str | None) -> int | str | None:
     if scheduler and jobs:
         raise InputError("a cluster has its own workers", where="--jobs", allowed="--jobs or --scheduler")
     return scheduler or local_workers(jobs)
+
+
+def study(name: str) -> ModuleType:
+    """Import a module of `studies`, which lies beside the package in the source tree and is not installed with it.
+
+    It is looked for in the checkout of an editable install, then in the current folder.
+
+    Raises:
+        InputError: neither is a source tree of ullage.
+    """
+    from importlib import import_module
+    from importlib.metadata import metadata
+
+    import ullage
+    from ullage.errors import InputError
+
+    for root in (Path(ullage.__file__).parents[2], Path.cwd()):
+        if (root / "studies/__init__.py").is_file() and (root / "src/ullage/__init__.py").is_file():
+            if str(root) not in sys.path:
+                sys.path.append(str(root))
+            return import_module(f"studies.{name}")
+    urls = dict(line.split(", ") for line in metadata("ullage").get_all("Project-URL", []))
+    raise InputError("the studies are not installed with ullage: they are in its source tree", where="studies/",
+                     allowed=f"a checkout of {urls.get('Repository')} as the current folder")  # fmt: skip
 
 
 def main(words: list[str] | None = None) -> None:
@@ -577,15 +603,14 @@ def validate(
 
     Or against recordings. Exit 1 when a bound is broken.
     """
-    from ullage.experiments.validation.validate import against_recordings
-    from ullage.experiments.validation.validate import validate as hold_against
     from ullage.view.progress import answer, console
 
+    validation = study("validation.validate")
     if recordings is not None:
-        rows = against_recordings(recordings, out, report=answer)
+        rows = validation.against_recordings(recordings, out, report=answer)
     else:
         with console.status("computing every oracle (about half a minute)"):
-            rows = hold_against(out)
+            rows = validation.validate(out)
     for row in rows:
         text = f" {row.oracle}: {row.ours:.3f} {row.unit}, wanted {row.reference:.3f}"
         answer(text, mark="ok  " if row.passed else "OUT ", style="" if row.passed else "red")
@@ -610,11 +635,10 @@ def reproduce(
     Each is run both ways. Exit 1 when a bound is broken. Run again to go on after Ctrl-C.
     """
     from ullage.experiments.warmup import compile_kernels, compiled
-    from ullage.thesis.plan import wanted
-    from ullage.thesis.reproduce import reproduce as run_all
     from ullage.view.progress import answer, console, log_report, progress_bar
 
-    chosen = wanted(quick, only or [])
+    run_all = study("thesis.reproduce").reproduce
+    chosen = study("thesis.plan").wanted(quick, only or [])
     if not compiled():
         with console.status("compiling kernels (once after installation)"):
             compile_kernels()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validation.rows import radar
+from studies.validation.rows import radar
 from ullage.geometry import C0
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import image_lengths

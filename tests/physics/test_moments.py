@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ullage.experiments.validation.oracles import mie_width
+from studies.validation.oracles import mie_width
 from ullage.geometry import C0
 
 sys.path.insert(0, str(Path(__file__).parent))

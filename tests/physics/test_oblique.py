@@ -11,7 +11,7 @@ import oblique
 from full_wave import db
 
 import ullage as ul
-from ullage.experiments.validation.oracles import mie_width
+from studies.validation.oracles import mie_width
 from ullage.geometry import C0
 from ullage.radar.physical import path_gain_cw
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ullage.experiments.validation import validate as page
+from studies.validation import validate as page
 
 
 @pytest.mark.parametrize("oracle", page.ORACLES, ids=lambda o: o.__name__)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validation import oracles
+from studies.validation import oracles
 from ullage.radar.physical import path_gain_cw
 
 ISO = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None)

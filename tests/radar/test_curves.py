@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from studies.validation.oracles import dense_tank
+from studies.validation.rows import gain_via
 from ullage.antenna import gain
-from ullage.experiments.validation.oracles import dense_tank
-from ullage.experiments.validation.rows import gain_via
 from ullage.radar import curves, paths, physical, sphere_echoes
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import apparent_sizes, beams_of

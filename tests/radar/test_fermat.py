@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validation.rows import gain_via, radar
+from studies.validation.rows import gain_via, radar
 from ullage.kernels.fermat import CYLINDER, SPHERE, Chains, Limits, Reflectors, may_be_strong
 from ullage.radar.fermat import fermat_paths
 from ullage.radar.prepared import prepare

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validation.rows import radar
+from studies.validation.rows import radar
 from ullage.geometry import quat_matrix
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.fermat import accumulate_fermat

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validation import oracles
-from ullage.experiments.validation.validate import sphere_wall_to_wall
+from studies.validation import oracles
+from studies.validation.validate import sphere_wall_to_wall
 from ullage.radar import physical, sphere_bounces
 from ullage.world.scene import Scene
 

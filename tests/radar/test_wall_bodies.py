@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validation.rows import radar
-from ullage.experiments.validation.validate import gain_over_wall, tank_and_drum_pulses
+from studies.validation.rows import radar
+from studies.validation.validate import gain_over_wall, tank_and_drum_pulses
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import apparent_sizes
 from ullage.radar.prepared import prepare

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ullage as ul
-from ullage.experiments.validation.rows import radar
-from ullage.experiments.validation.validate import tank_wall_to_wall
+from studies.validation.rows import radar
+from studies.validation.validate import tank_wall_to_wall
 from ullage.radar import wall_bounces
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import apparent_sizes

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from studies.thesis.node import batches
 from ullage.data import sensors_of
 from ullage.experiments.ros2_nodes import MappingOptions, mapping_stages
 from ullage.ports.publisher import Publisher
-from ullage.thesis.node import batches
 
 from .network import Network, result_of
 

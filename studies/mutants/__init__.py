@@ -1,0 +1,1 @@
+"""Errors in methods, worlds and flights, and the statements about the thesis that each must break."""
