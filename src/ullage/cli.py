@@ -378,7 +378,7 @@ def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = No
 
 def _print_summary(report: Report) -> None:
     """Print the outcome, the scores and the report page of a run."""
-    from ullage.experiments.folder import final_of
+    from ullage.experiments.folder import RunFolder
     from ullage.experiments.inspection import found_line
     from ullage.view.progress import log, log_report
 
@@ -387,7 +387,7 @@ def _print_summary(report: Report) -> None:
         rest = outcome.live.left_out_s if outcome.live is not None else 0.0
         what = f"all but {rest:.1f} s" if rest else "everything"
         log(f": {what} received by then is written", mark="interrupted", style="yellow")
-    if (kept := final_of(report.folder)) != report.folder:
+    if (kept := RunFolder(report.folder).final) != report.folder:
         log(f"the complete run in {kept} stays; this one is in {report.folder}")
     factor = report.metrics["real_time_factor"].value
     log(f"{outcome.frames} frames of {outcome.duration_s:.0f} s, {factor:.1f} times real time")
@@ -479,17 +479,17 @@ def _list_runs(root: Path, *, most: int | None = None) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from ullage.experiments.folder import describe, runs_in
+    from ullage.experiments.folder import RunFolder
     from ullage.view.progress import answer, console
 
-    runs = runs_in(root)
-    newest = sorted(runs, key=lambda place: (place / "provenance.json").stat().st_mtime, reverse=True)
-    shown = [place for place in runs if place in newest[:most]]
+    runs = RunFolder.all_in(root)
+    newest = sorted(runs, key=lambda run: (run.path / "provenance.json").stat().st_mtime, reverse=True)
+    shown = [run for run in runs if run in newest[:most]]
     if not shown:
         return
     table = Table("run", "state", box=None, title="\nRuns: ullage show RUN", title_justify="left")
-    for place in shown:
-        table.add_row(escape(str(place)), describe(place))
+    for run in shown:
+        table.add_row(escape(str(run.path)), run.describe())
     console.print(table)
     if len(shown) < len(runs):
         answer(f"and {len(runs) - len(shown)} more: ullage list runs")
@@ -501,12 +501,13 @@ def show(run: Annotated[str, typer.Argument(help="Run folder, its name, or lates
     from rich.markup import escape
     from rich.table import Table
 
-    from ullage.experiments.folder import describe, find_folder, read_json, state_of
+    from ullage.experiments.folder import RunFolder, read_json
     from ullage.view.progress import answer, console
 
-    folder = find_folder(run)
-    if (state := state_of(folder)) != "complete":
-        answer(f": {folder}", mark=describe(folder), style="yellow")
+    found = RunFolder.find(run)
+    folder = found.path
+    if (state := found.state) != "complete":
+        answer(f": {folder}", mark=found.describe(), style="yellow")
     table = Table("metric", "value", "unit", box=None, title=escape(str(folder)), title_justify="left")
     lacking = state in {"running", "unfinished"} and not (folder / "metrics.json").exists()
     for name, metric in () if lacking else read_json(folder / "metrics.json").items():
@@ -525,13 +526,13 @@ def measure(run: Annotated[str, typer.Argument(help="Run folder, its name, or la
     """
     from ullage.errors import InputError
     from ullage.experiments.bounds import verdicts
-    from ullage.experiments.folder import FINISHED, describe, find_folder, state_of
+    from ullage.experiments.folder import RunFolder
     from ullage.view.progress import answer
 
-    folder = find_folder(run)
-    if state_of(folder) not in FINISHED:
-        raise InputError(f"this run is {describe(folder)}", where=folder, allowed="a run that ended")
-    rows = verdicts(folder)
+    found = RunFolder.find(run)
+    if not found.finished:
+        raise InputError(f"this run is {found.describe()}", where=found.path, allowed="a run that ended")
+    rows = verdicts(found.path)
     for row in rows:
         answer(f" {row.text}", mark="ok  " if row.inside else "OUT ", style="" if row.inside else "red")
     if not rows:
@@ -551,11 +552,11 @@ def report(
 ) -> None:
     """Write a run's report.html anew."""
     from ullage.experiments.exports import write_foxglove, write_rrd
-    from ullage.experiments.folder import find_folder
+    from ullage.experiments.folder import RunFolder
     from ullage.view.progress import open_page
     from ullage.view.report import write_report
 
-    folder = find_folder(run)
+    folder = RunFolder.find(run).path
     page = write_report(folder)
     typer.echo(page)
     if rrd:

@@ -11,7 +11,7 @@ from typing import Any
 from studies.thesis.results import Results
 from ullage.data import Frames, Metric, Trajectory, joined
 from ullage.experiments.catalog import find_scenario
-from ullage.experiments.draft import begin_run
+from ullage.experiments.folder import RunFolder
 from ullage.experiments.run import of_scenario
 from ullage.experiments.runner import execute
 from ullage.experiments.simulated import Simulated, prepare
@@ -106,7 +106,7 @@ class Workspace:
             scenario = scenario.but(expect={})
         self.log(f"{name}: flying")
         simulated = prepare(scenario)
-        draft = begin_run(scenario.name, scenario.digest, root=self.folder / "runs", force=True)
+        place = RunFolder.of(scenario.name, scenario.digest, root=self.folder / "runs").begin(force=True)
         collector, started = FrameCollector(), time.monotonic()
         total = max(simulated.flown.duration_s, 1e-9)
 
@@ -114,7 +114,7 @@ class Workspace:
             self.log(f"{name}: {100 * min(done / total, 1):.0f} %, {time.monotonic() - started:.0f} s")
 
         report = execute(
-            of_scenario(draft, simulated), sinks=[collector], progress=report_progress, log=lambda _: None, draw=False
+            of_scenario(place, simulated), sinks=[collector], progress=report_progress, log=lambda _: None, draw=False
         )
         if report.outcome.interrupted:
             raise Interrupted

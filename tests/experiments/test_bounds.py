@@ -9,6 +9,7 @@ import pytest
 from ullage.data import Frames, Trajectory
 from ullage.experiments.bounds import verdicts
 from ullage.experiments.catalog import find_scenario
+from ullage.experiments.folder import RunFolder
 from ullage.experiments.run import of_scenario
 from ullage.experiments.runner import execute
 from ullage.experiments.simulated import Simulated, prepare
@@ -57,7 +58,7 @@ def received(name):
 def outside(name, folder, ruin):
     """Bounds of a scenario that its run is outside of."""
     simulated, pieces = received(name)
-    job = of_scenario(folder, simulated)
+    job = of_scenario(RunFolder(folder), simulated)
     job.source = Ruined(simulated, pieces, ruin)
     execute(job, draw=False, log=lambda text: None)
     return [one.text for one in verdicts(folder) if not one.inside]

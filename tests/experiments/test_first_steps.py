@@ -8,7 +8,7 @@ import pytest
 
 from ullage.config import make_scenario
 from ullage.errors import InputError
-from ullage.experiments.folder import find_folder
+from ullage.experiments.folder import RunFolder
 from ullage.experiments.run import of_scenario
 from ullage.experiments.runner import execute
 from ullage.experiments.simulated import prepare
@@ -29,7 +29,7 @@ def test_the_map_holds_a_flight_that_stays_outside_the_world(tmp_path: Path) -> 
     }  # fmt: skip
     folder = tmp_path / "run"
     folder.mkdir()
-    report = execute(of_scenario(folder, prepare(make_scenario(tree))), log=lambda _: None)
+    report = execute(of_scenario(RunFolder(folder), prepare(make_scenario(tree))), log=lambda _: None)
     left, right, _, _ = report.outcome.results[0].grid.extent_m
     assert left <= 0
     assert right >= 4.05
@@ -45,7 +45,7 @@ def test_a_flight_above_all_walls_is_complete_without_scores(tmp_path: Path) -> 
     folder = tmp_path / "run"
     folder.mkdir()
     said: list[str] = []
-    report = execute(of_scenario(folder, prepare(make_scenario(tree))), log=said.append)
+    report = execute(of_scenario(RunFolder(folder), prepare(make_scenario(tree))), log=said.append)
     assert "f1" not in report.metrics
     assert "The map has no scores: w: no surface of the scene lies on the grid at z = 3.00 m." in said
     assert "The map has no scores" in (report.folder / "report.html").read_text()
@@ -62,10 +62,10 @@ def test_the_last_run_can_be_taken_up_again(tmp_path: Path, monkeypatch: pytest.
     with sink(first / "frames.mcap") as taker:
         taker.write(ul.simulate(ul.scenes.plate(1, 1, 3), path, ul.RadarSpec.preset("x4m05")))
     with pytest.raises(InputError, match="no run 'latest'"):
-        find_folder("latest")
+        RunFolder.find("latest")
     job = make_run("runs/latest", tasks=("detect",), log=lambda _: None)
     assert execute(job, log=lambda _: None).outcome.frames == len(path)
-    assert find_folder("runs/latest") == job.folder.resolve()
+    assert RunFolder.find("runs/latest").path == job.folder.resolve()
 
 
 def test_a_run_refused_under_way_says_how_far_it_came(tmp_path: Path) -> None:
@@ -92,6 +92,6 @@ def test_a_run_refused_under_way_says_how_far_it_came(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     folder.mkdir()
     with pytest.raises(InputError, match="no space left"):
-        execute(of_scenario(folder, prepare(make_scenario(tree))), sinks=[Full()], log=lambda _: None)
+        execute(of_scenario(RunFolder(folder), prepare(make_scenario(tree))), sinks=[Full()], log=lambda _: None)
     assert json.loads((folder / "metrics.json").read_text())["frames"]["value"] > 0
     assert "no space left" in json.loads((folder / "provenance.json").read_text())["refused"]

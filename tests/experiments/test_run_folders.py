@@ -21,8 +21,7 @@ from process_table import alive, children
 import ullage as ul
 from ullage.cli import main
 from ullage.experiments.doctor import recording_rate
-from ullage.experiments.draft import begin_run
-from ullage.experiments.folder import find_folder, state_of
+from ullage.experiments.folder import RunFolder
 from ullage.experiments.map_files import MapSaver
 from ullage.experiments.run import Report, Run
 from ullage.experiments.runner import execute
@@ -151,17 +150,17 @@ def test_an_interrupted_run_is_whole_but_replaces_no_complete_one(place: Path) -
     job = made()
     job.source = Cut(job)
     cut = execute(job, log=lambda _: None, draw=False)
-    assert state_of(cut.folder) == "interrupted"
+    assert RunFolder(cut.folder).state == "interrupted"
     assert "interrupted" in (cut.folder / "report.html").read_text()
     whole = done(force=True)
-    assert state_of(whole.folder) == "complete"
+    assert RunFolder(whole.folder).state == "complete"
     before = tree(whole.folder)
     job = made(force=True)
     job.source = Cut(job)
     beside = execute(job, log=lambda _: None, draw=False)
     assert beside.folder != whole.folder
     assert tree(whole.folder) == before
-    assert state_of(beside.folder) == "interrupted"
+    assert RunFolder(beside.folder).state == "interrupted"
     assert (beside.folder / "map.yaml").is_file()
 
 
@@ -169,13 +168,12 @@ def test_a_second_run_of_one_folder_is_refused_while_the_first_lives(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     job = made()
-    assert job.draft is not None
     assert ullage("run", "plan.yaml") == 2
     assert ullage("run", "plan.yaml", "--force") == 2
     assert re.fullmatch(rf"(.*plan-\w+: process {os.getpid()} is writing this run .*\n){{2}}", capsys.readouterr().err)
     assert ullage("list") == 0
     assert f"running, process {os.getpid()} on" in capsys.readouterr().out
-    job.draft.discard()
+    job.place.discard()
     assert ullage("run", "plan.yaml") == 0
 
 
@@ -185,7 +183,7 @@ def test_a_full_disk_takes_one_line_and_leaves_no_half_a_file(
 ) -> None:
     rate = "sensing.rate_hz=50"  # so many frames that some arrive whole
     assert ullage("run", "plan.yaml", "-o", rate) == 0
-    folder = find_folder("latest")
+    folder = RunFolder.find("latest").path
     before = tree(folder)
     figures = [p.stat().st_size for p in (folder / "figures").iterdir()]
     size = {
@@ -199,7 +197,7 @@ def test_a_full_disk_takes_one_line_and_leaves_no_half_a_file(
     with files_up_to(size), pytest.raises(ul.InputError, match="cannot write: File too large"):
         execute(job, sinks=sinks, log=lambda _: None)
     assert tree(folder) == before
-    assert state_of(job.folder) == "unfinished"
+    assert RunFolder(job.folder).state == "unfinished"
     assert not [p for p in job.folder.rglob(".*") if p.is_file()]
     assert ullage("list") == 0
     assert "File too large" in capsys.readouterr().out
@@ -257,8 +255,8 @@ def test_a_killed_run_is_unfinished_readable_and_replaced(place: Path, capsys: p
     process.kill()
     process.communicate()
     (draft,) = (place / "runs").glob(".*.draft")
-    assert find_folder("latest") == old.resolve()
-    assert state_of(draft) == "unfinished"
+    assert RunFolder.find("latest").path == old.resolve()
+    assert RunFolder(draft).state == "unfinished"
     assert len(ul.open(str(draft)).frames()) > 0
     assert (read_map(draft / "map.yaml").percent >= 0).any()
     name = draft.name[1:-6]
@@ -269,8 +267,8 @@ def test_a_killed_run_is_unfinished_readable_and_replaced(place: Path, capsys: p
     assert ullage("report", name) == 0
     assert "unfinished" in (draft / "report.html").read_text()
     assert ullage("measure", name) == 2
-    again = begin_run(*name.rsplit("-", 1))
-    assert state_of(draft) == "running"
+    again = RunFolder.of(*name.rsplit("-", 1)).begin()
+    assert RunFolder(draft).state == "running"
     again.discard()
 
 
@@ -281,8 +279,8 @@ def test_sigterm_and_sighup_end_a_run_as_ctrl_c_does(place: Path, number: signal
     printed, _ = process.communicate(timeout=120)
     assert process.returncode == 0, printed
     assert "interrupted" in printed
-    folder = find_folder("latest")
-    assert state_of(folder) == "interrupted"
+    folder = RunFolder.find("latest").path
+    assert RunFolder(folder).state == "interrupted"
     assert {"map.yaml", "metrics.json", "report.html", "metadata.yaml"} <= set(os.listdir(folder))
 
 
@@ -295,7 +293,7 @@ def test_a_second_signal_ends_at_once_with_readable_files(place: Path) -> None:
     process.communicate(timeout=120)
     assert process.returncode == 130
     (draft,) = (place / "runs").glob(".*.draft")
-    assert state_of(draft) == "unfinished"
+    assert RunFolder(draft).state == "unfinished"
     assert (read_map(draft / "map.yaml").percent >= 0).any()
     assert len(ul.open(str(draft)).frames()) > 0
     assert not [p for p in draft.rglob(".*") if p.is_file()]

@@ -9,6 +9,7 @@ from pathlib import Path
 from ullage.config import Scenario
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, variant_name
+from ullage.experiments.folder import RunFolder
 from ullage.experiments.run import Compared, of_scenario
 from ullage.experiments.runner import execute
 from ullage.experiments.simulated import prepare
@@ -40,5 +41,5 @@ def rival_scenario(source: str, law: str, *, options: Sequence[str] = ()) -> Sce
 def fly_again(rival: Scenario, law: str) -> Compared:
     """Run a scenario for its scores alone; nothing is kept on the disk."""
     with tempfile.TemporaryDirectory(prefix="ullage-") as folder:
-        report = execute(of_scenario(Path(folder), prepare(rival)), log=lambda _: None, draw=False)
+        report = execute(of_scenario(RunFolder(Path(folder)), prepare(rival)), log=lambda _: None, draw=False)
     return Compared(NAMES[law], rival.name, report.metrics)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 from ullage.arrays import Floats
 from ullage.config import Scenario, Task
 from ullage.data import Metric, Trajectory
-from ullage.experiments.draft import Draft
+from ullage.experiments.folder import RunFolder
 from ullage.experiments.imaging import ImagePlane
 from ullage.experiments.inspection import ObjectOnMap
 from ullage.experiments.obstacle_table import ObstacleTable
@@ -41,7 +40,7 @@ class Compared:
 class Run:
     """Run in progress: its source, stages and settings."""
 
-    folder: Path  # a draft until the run is complete
+    place: RunFolder  # a draft until the run is complete
     scenario: Scenario
     source: Source
     scene: Scene | None = None
@@ -65,22 +64,19 @@ class Run:
     unmapped: Floats | None = None  # (k, 3) surface in sight that is not on the map [m]
     map_place: str = ""  # the plane or volume of the map, in words that begin a sentence
     timing: dict[str, float] = field(default_factory=dict)
-    draft: Draft | None = None  # that folder, if it is one to be swapped in
     sinks: list[Sink] = field(default_factory=list)  # requested sinks, open
     rival: Callable[[], Compared] | None = None  # runs another method on the same flight
     objects: list[ObjectOnMap] = field(default_factory=list)  # what the map shows of each, where the world is known
 
     @property
+    def folder(self) -> Path:
+        """Where its files are now."""
+        return self.place.path
+
+    @property
     def title(self) -> str:
         """Title of its figures."""
         return self.scenario.title or self.scenario.name
-
-    def discard(self) -> None:
-        """Remove its folder, in which nothing is worth keeping."""
-        if self.draft is None:
-            shutil.rmtree(self.folder, ignore_errors=True)
-        else:
-            self.draft.discard()
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,14 +91,7 @@ class Report:
     compared: Compared | None = None
 
 
-def of_scenario(folder: Path | Draft, simulated: Simulated) -> Run:
-    """Make the run of a simulated scenario, in a plain folder or a draft."""
+def of_scenario(place: RunFolder, simulated: Simulated) -> Run:
+    """Make the run of a simulated scenario."""
     scenario = simulated.scenario
-    run = Run(Path(), scenario, simulated, simulated.scene, simulated.flown, tasks=scenario.do)
-    return into(run, folder)
-
-
-def into(run: Run, folder: Path | Draft) -> Run:
-    """Let a run write to a plain folder, or to a draft that is swapped in when it is complete."""
-    run.folder, run.draft = (folder.path, folder) if isinstance(folder, Draft) else (folder, None)
-    return run
+    return Run(place, scenario, simulated, simulated.scene, simulated.flown, tasks=scenario.do)

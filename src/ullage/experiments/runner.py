@@ -15,8 +15,7 @@ from ullage.arrays import Floats
 from ullage.config import scenario_text
 from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError, UllageError
-from ullage.experiments.draft import running
-from ullage.experiments.folder import metric_tree, provenance, write_json, write_text
+from ullage.experiments.folder import metric_tree, write_json, write_text
 from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
 from ullage.experiments.inspection import inspect, object_rows, place_of
 from ullage.experiments.map_files import MapSaver, write_map_files
@@ -62,19 +61,16 @@ def execute(
         draw: figures too; without them the report holds numbers only.
         under_way: kernels that are still being compiled; maps and images wait for theirs.
     """
-    origin = provenance()
     try:
         write_text(job.folder / "scenario.yaml", scenario_text(job.scenario))
-        write_json(job.folder / "provenance.json", origin | running())
+        job.place.mark_running()
         outcome = _receive(job, sinks, progress, on_lag, log, under_way)
-        report = _finish(job, outcome, origin, log if draw else None)
+        report = _finish(job, outcome, log if draw else None)
     except BaseException as error:
-        _keep_what_came(job, origin, error)
+        _keep_what_came(job, error)
         raise
-    if job.draft is None:
-        return report
-    job.folder = job.draft.finish(interrupted=outcome.interrupted)
-    return replace(report, folder=job.folder, figures=tuple(job.folder / "figures" / p.name for p in report.figures))
+    folder = job.place.finish(interrupted=outcome.interrupted)
+    return replace(report, folder=folder, figures=tuple(folder / "figures" / p.name for p in report.figures))
 
 
 def _receive(
@@ -103,13 +99,12 @@ def _receive(
     return outcome
 
 
-def _finish(job: Run, outcome: Outcome, origin: Mapping[str, object], log: Log | None) -> Report:
+def _finish(job: Run, outcome: Outcome, log: Log | None) -> Report:
     """Write maps, metrics, figures and report; provenance.json comes last but one and marks the run as complete.
 
     Args:
         job: the run.
         outcome: what the loop gave.
-        origin: its provenance.
         log: called when figures are drawn; None: none are.
     """
     from ullage.view.report import write_report
@@ -133,8 +128,8 @@ def _finish(job: Run, outcome: Outcome, origin: Mapping[str, object], log: Log |
         keep_replay(job, outcome)
     state = "interrupted" if outcome.interrupted else "complete"
     done = {"state": state, "timing": job.timing, "interrupted": outcome.interrupted}
-    write_report(job.folder, origin={**origin, **done})
-    write_json(job.folder / "provenance.json", {**origin, **done})
+    write_report(job.folder, origin={**job.place.origin, **done})
+    job.place.mark(**done)
     return Report(job.folder, outcome, metrics, figures, tuple(job.objects), compared)
 
 
@@ -155,10 +150,10 @@ def _findings(job: Run, compared: Compared | None) -> dict[str, Any]:
     return {"objects": object_rows(job.objects), "place": job.map_place, **other}
 
 
-def _keep_what_came(job: Run, origin: Mapping[str, object], error: BaseException) -> None:
+def _keep_what_came(job: Run, error: BaseException) -> None:
     """Mark an interrupted run as unfinished, with the reason; remove its folder if it has no frames."""
     if not job.sampled.received:  # nothing is lost
-        job.discard()
+        job.place.discard()
         return
     stopped = isinstance(error, KeyboardInterrupt)
     reason = str(error) if isinstance(error, UllageError) else "ended" if stopped else type(error).__name__
@@ -166,9 +161,8 @@ def _keep_what_came(job: Run, origin: Mapping[str, object], error: BaseException
         frames = {"frames": Metric("frames", job.sampled.received)}
         if not (job.folder / "metrics.json").exists():
             write_json(job.folder / "metrics.json", metric_tree(frames))
-        write_json(job.folder / "provenance.json", {**origin, "state": "unfinished", "refused": reason})
-    if job.draft is not None:
-        job.draft.release()
+        job.place.mark(state="unfinished", refused=reason)
+    job.place.release()
 
 
 @dataclass(slots=True)

@@ -16,8 +16,8 @@ from ullage.config import Scenario, Task, is_set_by, make_scenario, run_name, sp
 from ullage.data import Frames, Trajectory, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
-from ullage.experiments.draft import begin_run, check_free, place_of
-from ullage.experiments.run import Run, into, of_scenario
+from ullage.experiments.folder import RunFolder
+from ullage.experiments.run import Run, of_scenario
 from ullage.experiments.simulated import prepare
 from ullage.pipeline import LOGGER, Sink, check_sink
 from ullage.pipeline import sink as open_sink
@@ -30,6 +30,8 @@ from ullage.world.scene import Scene
 if TYPE_CHECKING:
     from ullage.ports.by_hand import Controls
 
+NOWHERE = RunFolder(Path(os.devnull))
+"""Place of a run until its folder is begun; nothing can be written there."""
 VEHICLE_M = 0.3  # assumed radius of a real radar's carrier, without a setting [m]
 CONTRADICTION = 3.0  # standard deviations between the floor's echo and a calibrated range axis
 FLOOR_CLOCK_S = 0.2  # sigma of the first clock offset where the range is calibrated again [s]
@@ -73,8 +75,8 @@ def make_run(
         return _begin(_of_live(address, tasks, options, log), to, out)
     if (scenario := simulated_scenario(target, tasks=tasks, options=options)) is not None:
         scenario, scene = _with_flight(scenario, target, options, log) if is_world(target) else (scenario, None)
-        check_free(place_of(scenario.name, scenario.digest, root=out), force=force)
-        return _begin(of_scenario(Path(), prepare(scenario, scene=scene, progress=progress)), to, out, force=force)
+        RunFolder.of(scenario.name, scenario.digest, root=out).check_free(force=force)
+        return _begin(of_scenario(NOWHERE, prepare(scenario, scene=scene, progress=progress)), to, out, force=force)
     if there:
         target = str(path.resolve())  # `latest` will point elsewhere before it is read
     return _begin(_of_recording(target, tasks, options, log), to, out, force=force)
@@ -166,19 +168,19 @@ def _with_flight(
 
 def _begin(run: Run, to: Sequence[str], out: Path | None, *, force: bool = False) -> Run:
     """Open the sinks of a run and make its draft folder; if one fails, close the others."""
-    name, digest = run.scenario.name, run.scenario.digest
+    place = RunFolder.of(run.scenario.name, run.scenario.digest, root=out)
     with ExitStack() as opened:
         if hasattr(run.source, "close"):
             opened.callback(run.source.close)
-        check_free(place_of(name, digest, root=out), force=force)
+        place.check_free(force=force)
         live = [target for target in to if ":" in target]  # ports first: they leave nothing on the disk
         run.watched = bool(live)
         run.sinks += [_opened(target, opened) for target in live]
-        draft = begin_run(name, digest, root=out, force=force)
-        opened.callback(draft.discard)
+        run.place = place.begin(force=force)
+        opened.callback(place.discard)
         run.sinks += [_opened(target, opened) for target in to if target not in live]
         opened.pop_all()
-    return into(run, draft)
+    return run
 
 
 def check_options(options: Sequence[str]) -> None:
@@ -211,7 +213,7 @@ def record(run: Run) -> Sink:
         InputError: the disk is full or the folder cannot be written.
     """
     with ExitStack() as opened:
-        opened.callback(run.discard)
+        opened.callback(run.place.discard)
         for sink in run.sinks:
             opened.callback(sink.close)
         recording = _opened(str(run.folder / "frames.mcap"), opened)
@@ -260,7 +262,7 @@ def _of_recording(
     scenario = make_scenario(tree, options=options)
     flown = _track(source) if placed else None
     marks = None if rail is None else rail.reflectors()
-    return Run(Path(), scenario, source, flown=flown, marks=marks, settled=survey is not None, tasks=scenario.do)
+    return Run(NOWHERE, scenario, source, flown=flown, marks=marks, settled=survey is not None, tasks=scenario.do)
 
 
 class _Begun:
@@ -353,7 +355,7 @@ def _begun(
         source.close()
         raise
     scene = getattr(source, "scene", None)
-    return Run(Path(), scenario, begun, scene, flown=flown, tasks=scenario.do, live=True)
+    return Run(NOWHERE, scenario, begun, scene, flown=flown, tasks=scenario.do, live=True)
 
 
 def flight_scenario(target: str, *, tasks: tuple[Task, ...] | None = None, options: Sequence[str] = ()) -> Scenario:

@@ -13,7 +13,7 @@ from pathlib import Path
 from ullage.errors import InputError, UllageError
 from ullage.experiments.catalog import find_scenario
 from ullage.experiments.cluster import Outcome, Report, Where, carry_out
-from ullage.experiments.folder import read_json, state_of, write_text
+from ullage.experiments.folder import RunFolder, read_json, write_text
 from ullage.experiments.runner import execute
 from ullage.experiments.source_resolution import make_run
 from ullage.untrusted import compose_yaml, load_yaml
@@ -47,7 +47,7 @@ class Point:
     @property
     def done(self) -> bool:
         """Whether it is complete."""
-        return state_of(self.folder) == "complete"
+        return RunFolder(self.folder).state == "complete"
 
     @property
     def metrics(self) -> dict[str, float | None]:

@@ -13,7 +13,7 @@ import pytest
 from imc_peer import Peer
 
 import ullage as ul
-from ullage.experiments.folder import state_of
+from ullage.experiments.folder import RunFolder
 from ullage.ports import read_map
 
 
@@ -43,12 +43,12 @@ def test_a_live_run_that_is_stopped_keeps_recording_and_map(tmp_path: Path, numb
         printed, _ = process.communicate(timeout=100)
     (folder,) = (p for p in runs.iterdir() if p.name.strip(".").startswith("imc-") and p.is_dir())
     if number == signal.SIGKILL:
-        assert state_of(folder) == "unfinished"
+        assert RunFolder(folder).state == "unfinished"
         assert not (runs / "latest").exists()
     else:
         assert process.returncode == 0, printed
         assert "interrupted" in printed
-        assert state_of(folder) == "interrupted"
+        assert RunFolder(folder).state == "interrupted"
         assert folder.samefile(runs / "latest")
         assert {"metrics.json", "report.html", "metadata.yaml"} <= set(os.listdir(folder))
     assert len(ul.open(str(folder)).frames()) > 10
