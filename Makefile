@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip --disable-pip-version-check --require-virtualenv
 
-.PHONY: help demo thesis test slow bounds mutants fuzz gazebo-classic lint docs package urls bench check env dev lock view ros2 clean
+.PHONY: help demo thesis test slow statements bounds mutants fuzz gazebo-classic lint docs package urls bench check env dev lock view ros2 clean
 .DEFAULT_GOAL := help
 
 help:
@@ -15,6 +15,7 @@ help:
 	@echo "make test   run the tests (under five minutes on two cores)"
 	@echo "make lint   formatting, style, types, layers"
 	@echo "make slow   the slower tests"
+	@echo "make statements  every statement about the thesis and the errors that break it (24 minutes; make slow: a sample)"
 	@echo "make bounds the tests of radar and processing once more, every index of every kernel checked"
 	@echo "make fuzz   damage real inputs of every reader for an hour (SECONDS=300 for less) and print counts"
 	@echo "make mutants break the code at 100 random places and count what the tests notice (hours; MUTANTS='-n 10')"
@@ -36,7 +37,11 @@ test: $(VENV)/.dev
 	$(BIN)/python -m pytest -m "not slow" -n 3 --dist loadfile --no-loadscope-reorder
 
 slow: $(VENV)/.dev
-	$(BIN)/python -m pytest -m slow -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -m "slow and not statements" -n 2 --dist loadfile --no-loadscope-reorder
+
+# 24 minutes: every statement about the thesis falls to an error put into the method, the world or the flight
+statements: $(VENV)/.dev
+	$(BIN)/python -m pytest tests/studies/test_statement_mutants.py
 
 bounds: $(VENV)/.dev
 	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -m "not slow" -n 2 \

@@ -20,7 +20,7 @@ method, the world or the flight, and checks that the statement no longer holds. 
 afterwards. Some experiments use part of a flight, and fewer speeds or seeds, to save time. For CPU and memory, the test
 spoils the measured values.
 
-`pytest tests/studies/test_statement_mutants.py` runs them all. Two sets of bounds have no error of their own here.
+`make statements` runs them all, and `make slow` a sample. Two sets of bounds have no error of their own here.
 `cluttered-room-physical-again` differs from `cluttered-room-physical` only in the seed of its noise. World, flight
 and bounds are equal, so an error for the one is an error for the other, and the test saves the second flight. The F1
 of `cargo-hold-physical` is that of the whole hold. The test flies the first 2.5 m only, where a bound for the whole

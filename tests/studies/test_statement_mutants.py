@@ -11,6 +11,17 @@ from studies.mutants.matrix import BASELINE, DOCS, SECTIONS, bounds, breaking, s
 from studies.mutants.spoilt import RECORDINGS, Fleet, Section, quiet_workspace
 
 Patch = pytest.MonkeyPatch
+SAMPLE = {
+    "targets alone", "floor and wire", "behind the last wall", "cost of a profile", "CPU of a reading",
+    "the node on board", "an X4 at rest", "bounds of two flights by hand",
+}  # fmt: skip
+"""Sections that `make slow` runs, at least one of each file of the matrix; `make statements` runs all."""
+
+
+def cost(section: Section) -> Any:
+    """The section with its marks."""
+    marks = [pytest.mark.slow] if section.name in SAMPLE else [pytest.mark.slow, pytest.mark.statements]
+    return pytest.param(section, id=section.name, marks=marks)
 
 
 def stated(section: Section, material: Any, folder: Path) -> dict[str, bool]:
@@ -47,10 +58,9 @@ def fleet(tmp_path_factory) -> Fleet:
     return Fleet(tmp_path_factory.mktemp("fleet"))
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(1200)
 @pytest.mark.filterwarnings("ignore:divide by zero")
-@pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.name)
+@pytest.mark.parametrize("section", map(cost, SECTIONS))
 def test_every_statement_of_an_experiment_falls_to_a_mutant(section, fleet, tmp_path):
     if absent := [name for name in section.reads if not (RECORDINGS / name).is_file()]:
         pytest.skip(f"the recordings are not part of the package: {absent[0]}")
