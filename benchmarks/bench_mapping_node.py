@@ -40,16 +40,17 @@ NAN = float("nan")
 
 def record(path: Path, scenario: str, seconds: float) -> None:
     """Simulate the first seconds of a flight with four radars at 17 Hz each."""
-    from studies.thesis.tables import stream_part
     from ullage.experiments.catalog import find_scenario
     from ullage.experiments.simulated import prepare
     from ullage.ports import sink
+    from ullage.radar.simulate import simulate_stream
 
     found = find_scenario(scenario)
     sensing = found.sensing.model_copy(update={"rate_hz": 17.0})
     simulated = prepare(found.model_copy(update={"sensing": sensing}))
+    flown = simulated.flown[: int(np.searchsorted(simulated.flown.t_ns, seconds * 1e9)) + 1]
     with sink(path) as out:
-        for piece in stream_part(simulated, seconds):
+        for piece in simulate_stream(simulated.scene, flown, simulated.rig, fidelity=sensing.fidelity, seed=found.seed):
             out.write(piece)
 
 

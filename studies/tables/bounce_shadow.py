@@ -1,6 +1,6 @@
 """How well paths of several bounces are told free or hidden by some points of their Fresnel zones.
 
-    python benchmarks/bounce_shadow.py [frames]
+    python -m studies.tables.bounce_shadow [frames]
 
 Frames of the cargo hold along its flight, as they are and with one point a path, each against zones of all paths laid
 out densely: what differs, in dB of the frame's peak, and what a frame costs.

@@ -1,6 +1,6 @@
 """Plant clock and range offsets in simulated recordings, and count how often `ul.calibrate` finds them.
 
-    python benchmarks/calibrate_offsets.py --count 100 [--first 0] [--kinds flight,...] [--mismatched] [--log FILE]
+    python -m studies.tables.calibrate_offsets --count 100 [--first 0] [--kinds flight,...] [--mismatched] [--log FILE]
 
 The scenes are cheap on purpose: point scatterers in a wide beam, diffuse clutter, and a direct path with ring-down.
 Noise, phase jitter from frame to frame, and 0.3 mm of noise in the motion capture are added. Levels resemble those of

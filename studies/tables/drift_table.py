@@ -3,7 +3,7 @@
 Two drifts of 20 cm on each of five flights; or, with --turn, how much stays of a turn of the track by 2 deg about its
 first place, while the attitude is believed as it is: with all that may tell of a turn, and without.
 
-python benchmarks/drift_table.py [--flights 5] [--drifts 2] [--turn]
+python -m studies.tables.drift_table [--flights 5] [--drifts 2] [--turn]
 """
 
 from __future__ import annotations

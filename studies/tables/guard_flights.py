@@ -1,7 +1,7 @@
 """Fly seeded flights at obstacles with and without the guard: a row a flight, and a Markdown table by kind.
 
-    python benchmarks/guard_flights.py --count 14 [--kind wire --kind corner] [--first 0] [--to guard_flights.csv]
-    python benchmarks/guard_flights.py --table-only --to guard_flights.csv
+    python -m studies.tables.guard_flights --count 14 [--kind wire --kind corner] [--first 0] [--to guard_flights.csv]
+    python -m studies.tables.guard_flights --table-only --to guard_flights.csv
 
 The hall is a steel tunnel 30 m long, 9 m wide and 5 m high, open at its ends. The kind far_wall closes it 12 m ahead,
 beyond the range at which echoes fold (9.87 m).

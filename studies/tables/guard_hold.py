@@ -1,7 +1,7 @@
 """Count the false stops of guarded flights through the cargo hold with physical radars: a Markdown row a flight.
 
-    python benchmarks/guard_hold.py --seeds 5 [--speed 0.5] [-o KEY=VALUE]
-    python benchmarks/guard_hold.py --seeds 5 -o sensing.changes.prf_div=64 -o sensing.changes.iterations=24
+    python -m studies.tables.guard_hold --seeds 5 [--speed 0.5] [-o KEY=VALUE]
+    python -m studies.tables.guard_hold --seeds 5 -o sensing.changes.prf_div=64 -o sensing.changes.iterations=24
 
 The end walls of the hold are up to 27 m away. At the usual pulse rate their echoes fold to short ranges; a `prf_div` of
 64 puts the fold at 39.5 m. A stop is false if the hull could fly on for 1 m and keep its margin.
@@ -13,8 +13,8 @@ import argparse
 import time
 
 import numpy as np
-from guard_flights import gap_m, is_false
 
+from studies.tables.guard_flights import gap_m, is_false
 from ullage.experiments.catalog import find_scenario
 from ullage.experiments.guarded_flight import Loop
 from ullage.experiments.simulated import radars_and_world, waypoints_of

@@ -1,6 +1,6 @@
 """Draw the moving picture of a drone that stops before a 3 mm wire: docs/pictures/guard_wire.webp.
 
-    python benchmarks/guard_picture.py [--to FILE.webp]
+    python -m studies.tables.guard_picture [--to FILE.webp]
 
 Each picture shows one frame of the closed loop: the side view, the profile of the front radar, and the speeds.
 """
@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from guard_flights import HULL, Case, flown, rod
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Wedge
 from PIL import Image
 
+from studies.tables.guard_flights import HULL, Case, flown, rod
 from ullage.experiments.guarded_flight import GuardedFlight
 from ullage.files import write_whole
 

@@ -1,6 +1,6 @@
 """A learned inverse sensor model beside Elfes' and ullage's mapper, judged by the same evaluator.
 
-    python benchmarks/learned_mapper.py --samples 200 --flights 2      needs torch==2.13.0 and ullage[scale]
+    python -m studies.tables.learned_mapper --samples 200 --flights 2      needs torch==2.13.0 and ullage[scale]
 
 A small network takes the range profile about one cell's range, the strongest sample before it, range and bearing. It
 gives the chances that the cell is out of sight, free or a surface. Classes are balanced in training, so the difference

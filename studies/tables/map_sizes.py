@@ -1,4 +1,4 @@
-"""Size of one map in several representations: python benchmarks/map_sizes.py [SCENARIO]."""
+"""Size of one map in several representations: python -m studies.tables.map_sizes [SCENARIO]."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Where the clutter of recordings comes from: what stays with the radar when it moves, and what breathes.
 
-    python benchmarks/recorded_clutter.py FOLDER
+    python -m studies.tables.recorded_clutter FOLDER
 
 FOLDER holds `x4/` with the two recordings of [X4Recordings] and `pulson440/rail_a`.
 In the long one the radar is carried from frame 5000 to 7500: what belongs to the receiver (its direct path, a tail of
@@ -85,4 +85,4 @@ def main(folder):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[2] / "shared" / "data")
+    main(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[3] / "shared" / "data")

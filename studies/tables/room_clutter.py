@@ -1,6 +1,6 @@
 """How much of a real room's clutter its furniture makes: echoes over the noise in a room bare, furnished, worked in.
 
-    python benchmarks/room_clutter.py [FOLDER]
+    python -m studies.tables.room_clutter [FOLDER]
 
 Recordings of an X4 in real rooms keep 30 to 35 dB over the noise of N = 4096 pulses from 1 to 8 m, hardly falling
 with range [see docs/receiver.md]; with the FOLDER of the two X4 recordings theirs are measured too. The room here is

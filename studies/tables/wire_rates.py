@@ -8,7 +8,7 @@ the finished map, a false alarm an occupied cell over 0.15 m from everything; ra
 open cells, that the flights had at that range and angle. An alarm of `detect(method="track")` has a range alone: where
 nothing stands so near all round, each is false.
 
-python benchmarks/wire_rates.py [--flights 12] [--volume] [--keep FOLDER] [--figure FILE]
+python -m studies.tables.wire_rates [--flights 12] [--volume] [--keep FOLDER] [--figure FILE]
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
-from wire_table import OBJECTS, angles, hits_of
 
 import ullage as ul
+from studies.tables.wire_table import OBJECTS, angles, hits_of
 from studies.thesis.flights import level_round, rising_round
 from ullage.data import Frames, Trajectory
 from ullage.geometry import quat_matrix, rpy_quat

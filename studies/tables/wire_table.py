@@ -1,6 +1,6 @@
 """How often wires and poles are missed, and how often nothing alarms, by range, angle and tilt, from simulation.
 
-python benchmarks/wire_table.py [--runs 10] [--figure docs/pictures/wires.png] [--room]
+python -m studies.tables.wire_table [--runs 10] [--figure docs/pictures/wires.png] [--room]
 """
 
 from __future__ import annotations

@@ -1,0 +1,1 @@
+"""Tables and pictures of the documentation, each measured by its own script; not part of `make bench`."""
