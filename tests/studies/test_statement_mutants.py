@@ -12,13 +12,13 @@ from studies.mutants.spoilt import RECORDINGS, Fleet, Section, quiet_workspace
 
 Patch = pytest.MonkeyPatch
 SAMPLE = {
-    "targets alone", "floor and wire", "behind the last wall", "cost of a profile", "CPU of a reading",
+    "targets alone", "floor and wire", "behind the last wall", "CPU of a reading",
     "the node on board", "an X4 at rest", "bounds of two flights by hand",
 }  # fmt: skip
 """Sections that `make slow` runs, at least one of each file of the matrix; `make statements` runs all."""
 
 
-def cost(section: Section) -> Any:
+def marked(section: Section) -> Any:
     """The section with its marks."""
     marks = [pytest.mark.slow] if section.name in SAMPLE else [pytest.mark.slow, pytest.mark.statements]
     return pytest.param(section, id=section.name, marks=marks)
@@ -60,7 +60,7 @@ def fleet(tmp_path_factory) -> Fleet:
 
 @pytest.mark.timeout(1200)
 @pytest.mark.filterwarnings("ignore:divide by zero")
-@pytest.mark.parametrize("section", map(cost, SECTIONS))
+@pytest.mark.parametrize("section", [marked(section) for section in SECTIONS])
 def test_every_statement_of_an_experiment_falls_to_a_mutant(section, fleet, tmp_path):
     if absent := [name for name in section.reads if not (RECORDINGS / name).is_file()]:
         pytest.skip(f"the recordings are not part of the package: {absent[0]}")
@@ -70,5 +70,6 @@ def test_every_statement_of_an_experiment_falls_to_a_mutant(section, fleet, tmp_
 def test_every_statement_of_the_page_has_a_mutant():
     stated_there = list(statements((DOCS / "reproduce.md").read_text()))
     assert len(stated_there) > 120
+    assert {section.name for section in SECTIONS} > SAMPLE
     assert not [text for name, text, where in stated_there if not breaking(name, f"{text} ({where})")]
     assert not [text for name, text in bounds() if states(name, text) and not breaking("expect", text)]
