@@ -258,9 +258,7 @@ def test_the_code_of_a_page_runs(page: Path, tmp_path: Path, at_hand: dict[str, 
     assert tool("run_tutorials").run_page(page, tmp_path, **given)
 
 
-BY_CODE = {"reproduce.md", "validation.md", "validation_recordings.md"}
-"""Pages that code writes. Every other page is written by hand."""
-BY_HAND = sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md") if path.name not in BY_CODE)
+BY_HAND = sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
 
 
 def sentences(page: str) -> list[str]:
@@ -298,4 +296,4 @@ def test_the_first_screen_of_a_page_shows_something(name: str) -> None:
 def test_the_page_of_the_reproduction_is_not_written_without_results(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no experiment here .*a folder of `ullage reproduce`"):
         write_docs(tmp_path, tmp_path)
-    assert not (tmp_path / "reproduce.md").exists()
+    assert not (tmp_path / "studies").exists()

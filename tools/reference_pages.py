@@ -80,8 +80,8 @@ For `sensing.changes`, and for `ul.RadarSpec.preset("x4m05", ...)` in Python. Ot
 
 MATERIALS_HEAD = """# Materials
 
-The material of a surface decides how much it reflects and how much it lets through. This page lists the values and their
-sources. Permittivity is `eps' = a f^b`, conductivity `sigma = c f^d` [S/m], f in GHz
+The material of a surface decides how much it reflects and how much it lets through. This page lists the values and
+their sources. Permittivity is `eps' = a f^b`, conductivity `sigma = c f^d` [S/m], f in GHz
 ([ITU-R-P2040]); water and tissue have relaxation models. A carrier outside a material's range is refused.
 
 - **Names** go by any letter case, with `_` for `-`, and with or without `itu_` in front: `itu_concrete` is `concrete`.

@@ -12,7 +12,7 @@ from studies.thesis.plan import EXPERIMENTS
 from ullage.experiments.catalog import find_scenario, scenario_names
 
 SECTIONS = (*FLIGHTS, *MEASURED, *BOUNDS)
-DOCS = Path(__file__).parents[2] / "docs"
+STUDIES = Path(__file__).parents[2] / "studies"
 HEAD = """# Statements and the errors that break them
 
 Each statement of *The thesis, reproduced* has at least one error that breaks it. A test puts each error into the
@@ -58,7 +58,7 @@ def bounds() -> Iterator[tuple[str, str]]:
 def page() -> str:
     titles = {experiment.name: experiment.title for experiment in EXPERIMENTS}
     lines, last = [HEAD], ""
-    for name, text, where in statements((DOCS / "reproduce.md").read_text()):
+    for name, text, where in statements((STUDIES / "reproduced.md").read_text()):
         if name != last:
             lines += [f"\n## {titles[name]}\n", "| statement | thesis | broken by |", "|---|---|---|"]
         last = name

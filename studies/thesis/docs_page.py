@@ -1,4 +1,4 @@
-"""Writes the docs page of the reproduction: python -m studies.thesis.docs_page RESULTS DOCS."""
+"""Writes all results of the reproduction as a page: python -m studies.thesis.docs_page RESULTS REPOSITORY."""
 
 from __future__ import annotations
 
@@ -13,20 +13,10 @@ from studies.thesis.results import Results, Table, read_results
 from ullage.errors import InputError
 from ullage.experiments.folder import read_json, write_text
 
-HEAD = """# The thesis, reproduced
+HEAD = """# The thesis, reproduced: all results
 
-`ullage reproduce` runs every experiment of chapter 6 of the thesis [Billdal2018], under its own ray model and under the
-physical one. It then runs every method of mapping and imaging on the same five flights. One HTML page holds the results
-and every figure.
-
-What the thesis says of its results is held against numbers with bounds. The command exits 1 when one bound is broken.
-After Ctrl-C the same command continues where it stopped. `--quick` runs a small version, `--only NAME` one experiment,
-`--jobs N` runs N at a time, with `pip install 'ullage[scale]'`.
-
-Every flight is also a scenario: `ullage run ntnu-plate-by-hand`, `ullage run cluttered-room-again`. `ullage list` names
-them all. `python -m studies.thesis.docs_page` writes this page from the results. Each chapter is a whole run
-of its experiment. *Statements and the errors that break them* lists an error for each statement. The thesis' pictures
-are not copied here: hold it beside this page.
+`python -m studies.thesis.docs_page RESULTS REPOSITORY` writes this page from the folder of `ullage reproduce`. Each chapter is a
+whole run of its experiment. `docs/reproduce.md` sums it up.
 """
 PICTURES = {
     "baseline": (),
@@ -51,11 +41,11 @@ PICTURES = {
     "rail": ("rail.png",),
     "rest": (),
 }
-"""Which figures stand on the page."""
+"""Which figures stand on the page, and in the documentation."""
 
 
-def write_docs(root: Path, docs: Path) -> Path:
-    """Write the page and its pictures from a folder of results.
+def write_docs(root: Path, repository: Path) -> Path:
+    """Write `studies/reproduced.md`, and its pictures below `docs`, from a folder of results.
 
     Raises:
         InputError: the folder holds no experiment.
@@ -72,8 +62,9 @@ def write_docs(root: Path, docs: Path) -> Path:
         section = f" ({experiment.section})" if experiment.section[0].isdigit() else ""
         lines.append(f"\n## {experiment.title}{section}\n")
         lines.append(told)
-        lines += _chapter(read_results(root / experiment.name / "results.json"), experiment.name, root, docs)
-    page = docs / "reproduce.md"
+        lines += _chapter(read_results(root / experiment.name / "results.json"), experiment.name, root, repository)
+    page = repository / "studies" / "reproduced.md"
+    page.parent.mkdir(exist_ok=True)
     write_text(page, "\n".join(lines).rstrip("\n") + "\n")
     return page
 
@@ -92,7 +83,7 @@ def _opening(chapters: Sequence[tuple[str, Results]]) -> Iterator[str]:
     yield "\n".join(f"| {f['number']} | {f['shows']} | {f['here']} |" for f in found["figures"]) + "\n"
 
 
-def _chapter(found: Results, name: str, root: Path, docs: Path) -> Iterator[str]:
+def _chapter(found: Results, name: str, root: Path, repository: Path) -> Iterator[str]:
     for note in found.notes:
         yield f"{note}\n"
     if found.skipped:
@@ -105,14 +96,14 @@ def _chapter(found: Results, name: str, root: Path, docs: Path) -> Iterator[str]
         yield ""
     for table in found.tables:
         yield from _table(table)
-    folder = docs / "pictures" / "reproduce"
+    folder = repository / "docs" / "pictures" / "reproduce"
     folder.mkdir(parents=True, exist_ok=True)
     for item in found.figures:
         if item.file in PICTURES.get(name, ()):
             target = folder / f"{name}_{item.file}"
             shutil.copyfile(root / name / item.file, target)
             words = f"**Thesis {item.figure}.** {item.caption}" if item.figure else item.caption
-            yield f"![{item.figure or name}](pictures/reproduce/{target.name})\n\n{words}\n"
+            yield f"![{item.figure or name}](../docs/pictures/reproduce/{target.name})\n\n{words}\n"
 
 
 def _table(table: Table) -> Iterator[str]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from studies.mutants.matrix import BASELINE, DOCS, SECTIONS, bounds, breaking, statements, states
+from studies.mutants.matrix import BASELINE, SECTIONS, STUDIES, bounds, breaking, statements, states
 from studies.mutants.spoilt import RECORDINGS, Fleet, Section, quiet_workspace
 
 Patch = pytest.MonkeyPatch
@@ -68,7 +68,7 @@ def test_every_statement_of_an_experiment_falls_to_a_mutant(section, fleet, tmp_
 
 
 def test_every_statement_of_the_page_has_a_mutant():
-    stated_there = list(statements((DOCS / "reproduce.md").read_text()))
+    stated_there = list(statements((STUDIES / "reproduced.md").read_text()))
     assert len(stated_there) > 120
     assert {section.name for section in SECTIONS} > SAMPLE
     assert not [text for name, text, where in stated_there if not breaking(name, f"{text} ({where})")]
