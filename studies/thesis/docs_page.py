@@ -15,8 +15,8 @@ from ullage.experiments.folder import read_json, write_text
 
 HEAD = """# The thesis, reproduced: all results
 
-`python -m studies.thesis.docs_page RESULTS REPOSITORY` writes this page from the folder of `ullage reproduce`. Each chapter is a
-whole run of its experiment. `docs/reproduce.md` sums it up.
+`python -m studies.thesis.docs_page RESULTS REPOSITORY` writes this page from the folder of `ullage reproduce`.
+Each chapter is a whole run of its experiment. `docs/reproduce.md` sums it up.
 """
 PICTURES = {
     "baseline": (),
