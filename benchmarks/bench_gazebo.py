@@ -69,13 +69,14 @@ class Server:
 
     def measure(self, side):
         """Scans, CPU seconds and times real time over a while; and memory [MB]."""
-        from ullage.ports.gazebo_classic.peer import ClassicPeer, Received, type_of
-        from ullage.ports.gazebo_classic.wire import gz
+        from ullage.ports.gazebo.classic import ClassicPeer
+        from ullage.ports.gazebo.messages import classic
+        from ullage.ports.gazebo.peer import Received
 
         root = "/gazebo/side_by_side"
         with ClassicPeer(("127.0.0.1", self.port)) as peer:
-            peer.subscribe(f"{root}/world_stats", type_of("WorldStatistics"))
-            peer.subscribe(f"{root}/x3/base/front/scan", type_of("LaserScanStamped"))
+            peer.subscribe(f"{root}/world_stats", "gazebo.msgs.WorldStatistics")
+            peer.subscribe(f"{root}/x3/base/front/scan", "gazebo.msgs.LaserScanStamped")
             scans, sim, begun = 0, [], None
             while begun is None or time.monotonic() - begun[0] < SECONDS:
                 event = peer.wait(0.5)
@@ -84,7 +85,7 @@ class Server:
                 if event.topic.endswith("scan"):
                     scans += begun is not None
                     continue
-                told = gz().WorldStatistics.FromString(event.data).sim_time
+                told = classic().WorldStatistics.FromString(event.data).sim_time
                 now = told.sec + told.nsec * 1e-9
                 if now > 1.0:
                     sim.append((time.monotonic(), now))

@@ -5,6 +5,8 @@ A damaged message must be counted and left out: nothing may raise. Input of whic
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import importlib.util
 import struct
 from collections import deque
@@ -150,9 +152,9 @@ GAZEBO_TOPICS = ("/world/w/pose/info", "/world/w/dynamic_pose/info", "/world/w/s
 
 def gazebo_seeds(_: Path) -> Sequence[bytes]:
     """Poses, statistics, a scene and a scan, and a datagram that offers them."""
-    from ullage.ports.gazebo import wire
+    from ullage.ports.gazebo import messages, transport
 
-    gz = wire.gz()
+    gz = messages.gz()
     head = gz.Header(stamp=gz.Time(sec=3))
     pose = gz.Pose(name="m", position=gz.Vector3d(x=1), orientation=gz.Quaternion(w=1))
     moved = gz.Pose_V(header=head, pose=[pose, gz.Pose(name="o", orientation=gz.Quaternion(w=1))])
@@ -160,25 +162,26 @@ def gazebo_seeds(_: Path) -> Sequence[bytes]:
     rows = (moved, moved, gz.WorldStatistics(header=head, sim_time=gz.Time(sec=3)), gz.Scene(name="w"), scan)
     sent = [(k, one.SerializeToString()) for k, one in enumerate(rows)]
     pub = gz.Publisher(topic="@/p@/world/w/pose/info", address="tcp://127.0.0.1:1", scope=2)
-    return [records(*sent, (9, wire.datagram(wire.ADVERTISE, "x", pub=pub)))]
+    return [records(*sent, (9, transport.datagram(transport.ADVERTISE, "x", pub=pub)))]
 
 
 def read_gazebo(path: Path) -> None:
     """Datagrams and messages of Gazebo Transport, with and without rays."""
-    from ullage.ports.gazebo import wire
     from ullage.ports.gazebo.peer import Received, TopicOffered
-    from ullage.ports.gazebo.source import GazeboOptions, PoseFeed
+    from ullage.ports.gazebo.transport import read_datagram
+    from ullage.ports.gazebo.transport_source import TransportFeed, TransportOptions
 
     blob, count = path.read_bytes(), 0
-    wire.read_datagram(blob)
+    read_datagram(blob)
     for rays in ("", "front"):
         events: list[Any] = [TopicOffered(topic, "gz.msgs.Pose_V", "x") for topic in GAZEBO_TOPICS]
         for number, data in recorded(blob):
-            wire.read_datagram(data)
-            events.append(Received(GAZEBO_TOPICS[number % len(GAZEBO_TOPICS)], "gz.msgs.Any", data))
-        options = GazeboOptions(model="m", world="hall", rays=rays)
+            read_datagram(data)
+            events.append(Received(GAZEBO_TOPICS[number % len(GAZEBO_TOPICS)], data))
+        options = TransportOptions(model="m", world="hall", rays=rays)
         mounts = {"front": np.eye(4)} if rays else {}
-        count += taken(PoseFeed(Peer(events), options, "w", mounts, frozenset({"o"}))) - 1  # the notice of the offer
+        feed = TransportFeed(Peer(events), options, "w", mounts, frozenset({"o"}))
+        count += taken(feed) - 1  # the notice of the offer
     used(count)
 
 
@@ -187,9 +190,10 @@ CLASSIC_TOPICS = ("pose/info", "world_stats", "response", "model/info", "request
 
 def classic_seeds(_: Path) -> Sequence[bytes]:
     """Framed messages of a gzserver; their first byte stands for the topic."""
-    from ullage.ports.gazebo_classic.wire import framed, gz
+    from ullage.ports.gazebo.classic import framed
+    from ullage.ports.gazebo.messages import classic
 
-    g = gz()
+    g = classic()
     pose = g.Pose(name="m", position=g.Vector3d(x=1, y=0, z=0), orientation=g.Quaternion(x=0, y=0, z=0, w=1))
     stamp = g.Time(sec=3, nsec=0)
     moved = g.PosesStamped(time=stamp, pose=[pose])
@@ -197,19 +201,31 @@ def classic_seeds(_: Path) -> Sequence[bytes]:
     return [b"".join(framed(bytes([number]) + data) for number, data in sent)]
 
 
+async def cut(blob: bytes) -> list[bytes]:
+    """The messages of a gzserver's stream, as far as it goes."""
+    from ullage.ports.gazebo.classic import messages
+
+    reader, found = asyncio.StreamReader(), []
+    reader.feed_data(blob)
+    reader.feed_eof()
+    with contextlib.suppress(asyncio.IncompleteReadError):
+        async for one in messages(reader):
+            found.append(one)  # noqa: PERF401 (what came before the end counts)
+    return found
+
+
 def read_classic(path: Path) -> None:
     """The stream cut into messages, and each on its topic."""
-    from ullage.ports.gazebo_classic.peer import Connected, Received
-    from ullage.ports.gazebo_classic.source import ClassicFeed, ClassicOptions
-    from ullage.ports.gazebo_classic.wire import Stream
+    from ullage.ports.gazebo.classic_source import ClassicFeed, ClassicOptions
+    from ullage.ports.gazebo.peer import Connected, Received
 
     try:
-        messages = Stream().take(path.read_bytes())
+        found = asyncio.run(cut(path.read_bytes()))
     except ValueError:  # the peer drops the connection
         raise ul.InputError("not framed", where="peer") from None
     root = "/gazebo/w/"
     events: list[Any] = [Connected(("w",))]
-    events += [Received(root + CLASSIC_TOPICS[one[0] % len(CLASSIC_TOPICS)], one[1:]) for one in messages if one]
+    events += [Received(root + CLASSIC_TOPICS[one[0] % len(CLASSIC_TOPICS)], one[1:]) for one in found if one]
     count = 0
     for rays in ("", "front"):
         options = ClassicOptions(model="m", world="hall", rays=rays)

@@ -7,7 +7,7 @@ import test_gazebo_real as real
 import ullage as ul
 from ullage.fan import ray_fan
 from ullage.geometry import quat_matrix
-from ullage.ports.gazebo_classic.source import ClassicFeed
+from ullage.ports.gazebo.classic_source import ClassicFeed
 from ullage.ports.scanning import Scan
 from ullage.radar.rays import echoes_thesis
 from ullage.radar.scan import echoes_of_scans

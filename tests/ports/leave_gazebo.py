@@ -2,13 +2,14 @@
 
 import time
 
-from ullage.ports.gazebo.peer import Peer, ProcessLeft, Received
-from ullage.ports.gazebo.wire import gz
+from ullage.ports.gazebo.messages import gz
+from ullage.ports.gazebo.peer import ProcessLeft, Received
+from ullage.ports.gazebo.transport import TransportPeer
 
 TOPIC, LATE_S = "/flood", 0.02
 
 
-class Late(Peer):
+class Late(TransportPeer):
     """Busy for a moment between seeing that something waits and reading who left and what was said."""
 
     def _serve(self) -> None:
@@ -19,7 +20,7 @@ class Late(Peer):
 with Late() as listener:
     listener.subscribe(TOPIC)
     for _ in range(4):
-        with Peer() as speaker:
+        with TransportPeer() as speaker:
             speaker.advertise(TOPIC, "gz.msgs.Float_V")
             heard, end = 0, time.monotonic() + 5
             while heard < 50 and time.monotonic() < end:

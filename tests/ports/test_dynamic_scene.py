@@ -136,10 +136,10 @@ class Speaking(threading.Thread):
         self.over = threading.Event()
 
     def run(self):
-        from ullage.ports.gazebo.peer import Peer
-        from ullage.ports.gazebo.wire import gz
+        from ullage.ports.gazebo.messages import gz
+        from ullage.ports.gazebo.transport import TransportPeer
 
-        with Peer() as server:
+        with TransportPeer() as server:
             server.advertise("/world/w/pose/info", "gz.msgs.Pose_V")
             server.advertise("/world/w/scene/info", "gz.msgs.Scene")
             for step in itertools.count():
@@ -158,13 +158,13 @@ class Speaking(threading.Thread):
 
 
 def test_a_peer_of_gazebo_transport_tells_where_the_plate_is(partition, tmp_path):
-    from ullage.ports.gazebo.source import source_of
+    from ullage.ports.gazebo.transport_source import open_source
 
     (tmp_path / "w.sdf").write_text(WORLD)
     said = []
     options = {"model": "x", "world": str(tmp_path / "w.sdf"), "rig": "single", "fidelity": "thesis", "duration_s": 1.5}
     server = Speaking()
-    with source_of("", options, log=said.append) as live:
+    with open_source("", options, log=said.append) as live:
         server.start()
         frames = live.frames()
     server.over.set()

@@ -21,7 +21,7 @@ from ullage.world.raycast import Raycaster
 
 pytest.importorskip("google.protobuf")
 
-from ullage.ports.gazebo_classic.source import ClassicFeed, source_of
+from ullage.ports.gazebo.classic_source import ClassicFeed, open_source
 from ullage.ports.scanning import Scan
 
 HERE = Path(__file__).parent
@@ -94,7 +94,7 @@ def gazebo():
 
 def source(gazebo, lines=None, **options):
     chosen = {"world": str(WORLD), "fidelity": "thesis", **options}
-    return source_of(f"127.0.0.1:{gazebo.port}", chosen, log=(lines if lines is not None else []).append)
+    return open_source(f"127.0.0.1:{gazebo.port}", chosen, log=(lines if lines is not None else []).append)
 
 
 def until(pieces, good, limit=400):

@@ -15,12 +15,12 @@ pytest.importorskip("zmq")
 pytest.importorskip("google.protobuf")
 
 from ullage.ports.cosimulation import CosimulationSource, resolved
-from ullage.ports.gazebo import wire
-from ullage.ports.gazebo.peer import Peer, ProcessLeft, Received, TopicOffered
+from ullage.ports.gazebo import transport as wire
+from ullage.ports.gazebo.messages import gz
+from ullage.ports.gazebo.peer import ProcessLeft, Received, TopicOffered
 from ullage.ports.gazebo.scene import ask_scene, sdf_of
-from ullage.ports.gazebo.sink import GazeboSink
-from ullage.ports.gazebo.source import GazeboOptions, PoseFeed, source_of
-from ullage.ports.gazebo.wire import gz
+from ullage.ports.gazebo.transport import TransportPeer
+from ullage.ports.gazebo.transport_source import TransportFeed, TransportOptions, open_source
 
 SERVER = Path(__file__).with_name("gazebo_server.cpp")
 
@@ -58,7 +58,7 @@ def server(program, partition):
 
 def source(lines=None, **options):
     chosen = {"model": "x3", "fidelity": "thesis", "rig": "single", **options}
-    return source_of("", chosen, log=(lines if lines is not None else []).append)
+    return open_source("", chosen, log=(lines if lines is not None else []).append)
 
 
 def until(pieces, good, limit_s=90):
@@ -175,12 +175,12 @@ def test_the_clock_of_a_real_publisher_may_step_an_hour_either_way(server):
 @pytest.mark.slow
 def test_a_flood_of_a_real_publisher_loses_nothing_silently(server):
     reported = []
-    with Peer() as peer:
+    with TransportPeer() as peer:
         world = ask_scene(peer, "", where="gazebo:")
-    options, scene, rig = resolved(GazeboOptions(model="x3", fidelity="thesis", rig="single"), "gazebo:", world)
+    options, scene, rig = resolved(TransportOptions(model="x3", fidelity="thesis", rig="single"), "gazebo:", world)
 
     def join():
-        return PoseFeed(Peer(most_waiting=300), options, "", {}, frozenset(scene.models))
+        return TransportFeed(TransportPeer(most_waiting=300), options, "", {}, frozenset(scene.models))
 
     with CosimulationSource(join, scene, rig, options, log=reported.append) as live:
         pieces = live.stream()
@@ -221,7 +221,7 @@ def test_one_topic_for_several_ray_sensors_is_refused():
 
 def test_no_gazebo_is_refused_when_the_world_is_asked_of_it(partition):
     words = r"gazebo:: no Gazebo heard in 0\.3 s \(allowed: world=FILE.sdf"
-    with Peer() as peer, pytest.raises(ul.InputError, match=words):
+    with TransportPeer() as peer, pytest.raises(ul.InputError, match=words):
         ask_scene(peer, "", where="gazebo:", patience_s=0.3)
 
 
@@ -231,7 +231,7 @@ def test_frames_from_anywhere_are_published_with_their_clock(partition):
         ul.Rig.preset("single"), fidelity="thesis",
     )  # fmt: skip
     topics = [f"/model/drone/radar/front/{name}" for name in ("frame", "profile", "range", "points")]
-    with Peer() as listener, GazeboSink("", {"model": "drone"}) as sink:
+    with TransportPeer() as listener, ul.sink("gazebo:?model=drone") as sink:
         for topic in [*topics, "/clock"]:
             listener.subscribe(topic)
         sink.write(frames)
@@ -275,7 +275,7 @@ def test_a_scene_becomes_the_sdf_that_it_stands_for(tmp_path):
 
 def test_a_peer_that_falls_silent_is_held_for_gone(partition):
     process, node = wire.new_uuid(), wire.new_uuid()
-    with Peer(silence_s=0.5) as listener, wire.discovery_socket(wire.MESSAGE_PORT, "127.0.0.1") as speaker:
+    with TransportPeer(silence_s=0.5) as listener, wire.discovery_socket(wire.MESSAGE_PORT, "127.0.0.1") as speaker:
         offer = gz().Publisher(
             topic=wire.full_topic("/clock", listener.partition), address="tcp://127.0.0.1:9", process_uuid=process,
             node_uuid=node, scope=wire.EVERYWHERE, msg_pub=gz().MessagePublisher(msg_type="gz.msgs.Clock"),

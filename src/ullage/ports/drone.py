@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from ullage.flight.live import Wish
 from ullage.flight.pilot import HOVER, Velocity
 from ullage.geometry import quat_matrix, quat_rpy
 from ullage.ports.intake import Counters, Log, checked_pose
+from ullage.ports.publisher import is_present
 from ullage.specs import Spec
 
 Takes = Literal["velocity", "pose"]
@@ -94,6 +96,53 @@ def state_of(
     if not np.isfinite([*linear, *angular]).all():
         return "twist is not finite"
     return DroneState(t_ns, pose[0], pose[1], quat_matrix(pose[1]) @ np.array(linear), np.array(angular))
+
+
+class TopicDrone(ABC):
+    """Drone that publishes its odometry; messages that cannot be used are counted.
+
+    Args:
+        odom: topic of the odometry.
+        counters: of its messages.
+    """
+
+    def __init__(self, odom: str, counters: Counters) -> None:
+        self._odom, self.counters, self._last_ns = odom, counters, 0
+
+    def states(self) -> list[DroneState]:
+        """Return the states since the last call, in order of time."""
+        out = []
+        for data in self._arrived():
+            self.counters.receive(self._odom)
+            try:
+                found = self._state(data)
+            except Exception as error:  # a damaged message can raise any error in the decoder
+                found = f"cannot be read: {type(error).__name__}"
+            if isinstance(found, str):
+                self.counters.drop(self._odom, "bad", found)
+            elif found.t_ns <= self._last_ns:
+                self.counters.drop(self._odom, "late")
+            else:
+                self._last_ns = found.t_ns
+                out.append(found)
+        return out
+
+    @abstractmethod
+    def _arrived(self) -> Iterator[bytes]:
+        """Give the odometry messages since the last call."""
+
+    @abstractmethod
+    def _state(self, data: bytes) -> DroneState | str:
+        """Return the state in an odometry message, or what is wrong with it."""
+
+    def _state_of(self, t_ns: int, pose: Any, twist: Any) -> DroneState | str:
+        """Return the state that pose and twist of an odometry message give."""
+        at, turn, linear, angular = pose.position, pose.orientation, twist.linear, twist.angular
+        return state_of(
+            t_ns if is_present(t_ns) else time.time_ns(),  # a simulator's clock is not IMC's
+            (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w),
+            (linear.x, linear.y, linear.z), (angular.x, angular.y, angular.z),
+        )  # fmt: skip
 
 
 class Guided:

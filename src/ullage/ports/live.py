@@ -21,7 +21,7 @@ SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+-]+):")
 LIVE = {
     "ros2": "ullage.ports.ros2.port",
     "gazebo": "ullage.ports.gazebo.port",
-    "gazebo-classic": "ullage.ports.gazebo_classic.port",
+    "gazebo-classic": "ullage.ports.gazebo.classic_port",
     "imc": "ullage.ports.imc.port",
     "mavlink": "ullage.ports.mavlink.port",
 }

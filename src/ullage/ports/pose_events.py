@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
 from ullage.data import Frames
-from ullage.ports.intake import Counters, Inbox, checked_pose
+from ullage.ports.intake import PATIENCE_S, Counters, Inbox, checked_pose
 
 Quat = tuple[float, float, float, float]
 Pose = tuple[tuple[float, float, float], Quat]
@@ -81,11 +81,13 @@ class EventFeed(ABC, Generic[Event_co]):
 
     Args:
         peer: gives the events.
+        patience_s: after how long a silence that is reported [s].
     """
 
-    def __init__(self, peer: EventPeer[Event_co]) -> None:
+    def __init__(self, peer: EventPeer[Event_co], *, patience_s: float = PATIENCE_S) -> None:
         self._source, self.counters = peer, peer.counters
         self._ready: deque[Any] = deque()
+        self._patience_s, self._last_s, self._logged_s = patience_s, time.monotonic(), 0.0
 
     def next(self, timeout_s: float) -> Any:
         """Return the next pose, scan or notice, or None if none came within the timeout."""
@@ -136,9 +138,17 @@ class EventFeed(ABC, Generic[Event_co]):
     def _take(self, event: Any) -> Any:
         """Return the last result of an event, or None; append earlier results to `_ready`."""
 
-    @abstractmethod
     def _on_silence(self) -> Notice | None:
-        """Return a notice, if one is due, after no event came for a while."""
+        """Return a notice, if one is due, after nothing of use came for a while (since `_last_s`)."""
+        now = time.monotonic()
+        if now - max(self._last_s, self._logged_s) < self._patience_s:
+            return None
+        self._logged_s = now
+        return Notice(self._silence())
+
+    @abstractmethod
+    def _silence(self) -> str:
+        """Return a line on what is missing, after a silence."""
 
 
 def pose_of(message: Any) -> Pose:

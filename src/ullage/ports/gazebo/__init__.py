@@ -1,1 +1,1 @@
-"""Gazebo (gz-sim, Fortress and later): simulate the radars of a model in its world and publish their frames."""
+"""Gazebo (gz-sim and Classic): simulate the radars of a model in its world and publish their frames."""

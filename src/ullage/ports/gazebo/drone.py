@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from collections.abc import Iterator
 
 from ullage.errors import InputError
 from ullage.flight.pilot import Velocity
-from ullage.ports.drone import DroneOptions, DroneState, state_of
-from ullage.ports.gazebo.peer import Peer, Received, TopicOffered
-from ullage.ports.gazebo.wire import gz
-from ullage.ports.publisher import is_present
+from ullage.ports.drone import DroneOptions, DroneState, Takes, TopicDrone
+from ullage.ports.gazebo.messages import gz
+from ullage.ports.gazebo.peer import Received, TopicOffered
+from ullage.ports.gazebo.transport import TransportPeer
+from ullage.ports.pose_events import stamp_ns
+
+REFUSAL = "Gazebo's multicopters take no poses"
 
 
-class GazeboDrone:
+class GazeboDrone(TopicDrone):
     """Commands a model by its velocity, as gz-sim's MulticopterVelocityControl takes it.
 
     Args:
@@ -28,11 +31,9 @@ class GazeboDrone:
     def __init__(self, model: str, options: DroneOptions) -> None:
         if not model:
             raise InputError("no model", where="gazebo:", allowed="gazebo:NAME of the model to fly")
-        self._odom = options.odom or f"/model/{model}/odometry"
+        self._peer = TransportPeer()
+        super().__init__(options.odom or f"/model/{model}/odometry", self._peer.counters)
         self._cmd_vel = options.cmd_vel or f"/model/{model}/cmd_vel"
-        self._peer = Peer()
-        self.counters = self._peer.counters
-        self._last_ns = 0
         self._offered = False
         try:
             self._peer.subscribe(self._odom)
@@ -40,24 +41,12 @@ class GazeboDrone:
             self._peer.close()
             raise
 
-    def states(self) -> list[DroneState]:
-        """The states since the last call, in order of time."""
-        out = []
+    def _arrived(self) -> Iterator[bytes]:
         while (event := self._peer.wait(0.0)) is not None:
             if isinstance(event, TopicOffered | Received) and event.topic == self._odom:
                 self._offer(event.kind)
-            if not isinstance(event, Received) or event.topic != self._odom:
-                continue
-            self.counters.receive(self._odom)
-            found = self._state(event.data)
-            if isinstance(found, str):
-                self.counters.drop(self._odom, "bad", found)
-            elif found.t_ns <= self._last_ns:
-                self.counters.drop(self._odom, "late")
-            else:
-                self._last_ns = found.t_ns
-                out.append(found)
-        return out
+                if isinstance(event, Received):
+                    yield event.data
 
     def _offer(self, kind: str) -> None:
         """Offer the commands in the package of the odometry: gz.msgs, or ignition.msgs up to Fortress."""
@@ -66,19 +55,8 @@ class GazeboDrone:
             self._peer.advertise(self._cmd_vel, f"{kind.rpartition('.')[0]}.Twist")
 
     def _state(self, data: bytes) -> DroneState | str:
-        message: Any = gz().Odometry()
-        try:
-            message.ParseFromString(data)
-        except Exception as error:  # protobuf raises kinds of its own, by implementation
-            return f"cannot be read: {type(error).__name__}"
-        stamp, at, turn = message.header.stamp, message.pose.position, message.pose.orientation
-        linear, angular = message.twist.linear, message.twist.angular
-        t_ns = stamp.sec * 10**9 + stamp.nsec
-        return state_of(
-            t_ns if is_present(t_ns) else time.time_ns(),  # Gazebo's clock is none of IMC's
-            (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w),
-            (linear.x, linear.y, linear.z), (angular.x, angular.y, angular.z),
-        )  # fmt: skip
+        message = gz().Odometry.FromString(data)
+        return self._state_of(stamp_ns(message.header.stamp), message.pose, message.twist)
 
     def steer(self, velocity: Velocity) -> None:
         """Command a velocity in the level frame of the heading."""
@@ -94,9 +72,21 @@ class GazeboDrone:
         Raises:
             InputError: always.
         """
-        raise InputError("Gazebo's multicopters take no poses", where=self._cmd_vel, allowed="takes=velocity")
+        raise InputError(REFUSAL, where=self._cmd_vel, allowed="takes=velocity")
 
     def close(self) -> None:
         """Leave the network."""
         time.sleep(0.05)  # the last command leaves first
         self._peer.close()
+
+
+def open_drone(address: str, options: DroneOptions, takes: Takes) -> GazeboDrone:
+    """Open a model with a velocity controller: `gazebo:MODEL`.
+
+    Raises:
+        InputError: the model has no name, or `takes` is pose.
+        MissingExtra: pyzmq or protobuf is not installed.
+    """
+    if takes == "pose":
+        raise InputError(REFUSAL, where=f"gazebo:{address}", allowed="takes=velocity")
+    return GazeboDrone(address, options)

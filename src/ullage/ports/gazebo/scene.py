@@ -13,8 +13,9 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from ullage.errors import InputError
-from ullage.ports.gazebo.peer import Peer, TopicOffered
-from ullage.ports.gazebo.wire import gz
+from ullage.ports.gazebo.messages import gz
+from ullage.ports.gazebo.peer import TopicOffered
+from ullage.ports.gazebo.transport import TransportPeer
 from ullage.world.scene import Scene
 
 WORLD = re.compile(r"/world/([^/]+)/")
@@ -22,7 +23,7 @@ BOX, CYLINDER, SPHERE, PLANE, MESH, CONE, CAPSULE, ELLIPSOID = 0, 1, 2, 3, 6, 10
 """Types of geometry."""
 
 
-def ask_scene(peer: Peer, world: str, *, where: str, patience_s: float = 10.0) -> Scene:
+def ask_scene(peer: TransportPeer, world: str, *, where: str, patience_s: float = 10.0) -> Scene:
     """Ask a running Gazebo for its scene.
 
     Args:
@@ -45,7 +46,7 @@ def ask_scene(peer: Peer, world: str, *, where: str, patience_s: float = 10.0) -
     return scene_of(gz().Scene.FromString(raw), where=where)
 
 
-def _find(peer: Peer, world: str, end_s: float) -> tuple[str, str]:
+def _find(peer: TransportPeer, world: str, end_s: float) -> tuple[str, str]:
     while time.monotonic() < end_s:
         event = peer.wait(0.25)
         found = WORLD.match(event.topic) if isinstance(event, TopicOffered) else None

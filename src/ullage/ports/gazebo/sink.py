@@ -1,4 +1,4 @@
-"""Publish frames from any source on Gazebo's topics."""
+"""Publish frames from any source on the topics of either Gazebo."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from pydantic import Field
 
 from ullage.data import Frames
 from ullage.ports.cosimulation import PacedSink, SimulatorSinkOptions, options_of
-from ullage.ports.gazebo.peer import Peer
-from ullage.ports.gazebo.topics import RadarTopics
-from ullage.ports.gazebo.wire import gz
+from ullage.ports.gazebo.classic import ClassicPeer, master_of
+from ullage.ports.gazebo.messages import gz
+from ullage.ports.gazebo.topics import CLASSIC, RadarTopics
+from ullage.ports.gazebo.transport import TransportPeer
 
 
-class SinkOptions(SimulatorSinkOptions):
+class TransportSinkOptions(SimulatorSinkOptions):
     """Options of `--to gazebo:`."""
 
     messages: Literal["gz", "ignition"] = Field("gz", description="ignition for Fortress and before")
@@ -21,26 +22,26 @@ class SinkOptions(SimulatorSinkOptions):
     partition: str | None = Field(None, description="none: GZ_PARTITION, or this host and user")
 
 
+class ClassicSinkOptions(SimulatorSinkOptions):
+    """Options of `--to gazebo-classic:`."""
+
+    gazebo_world: str = Field("default", min_length=1, description="topics are /gazebo/WORLD/MODEL/radar/SENSOR/...")
+
+
 class GazeboSink(PacedSink):
     """Publish frames at the rate of their own clock.
 
     Args:
-        address: unused; `gazebo:` alone.
-        options: as listed in `SinkOptions`.
-
-    Raises:
-        InputError: an option is not valid.
-        MissingExtra: pyzmq or protobuf is not installed.
+        topics: take the frames; their peer is closed with the sink.
+        pace: times real time; 0: as fast as can be.
+        clock: topic of the frames' clock, which Transport alone takes; empty: none.
     """
 
-    def __init__(self, address: str, options: dict[str, Any]) -> None:
-        chosen = options_of(SinkOptions, options, f"gazebo:{address}")
-        super().__init__(chosen.pace)
-        package = "gz.msgs" if chosen.messages == "gz" else "ignition.msgs"
-        self._peer, self._clock = Peer(chosen.host, chosen.partition), chosen.clock
-        self._topics = RadarTopics(self._peer, chosen.model, package)
-        if self._clock:
-            self._peer.advertise(self._clock, f"{package}.Clock")
+    def __init__(self, topics: RadarTopics, pace: float, *, clock: str = "") -> None:
+        super().__init__(pace)
+        self._topics, self._peer, self._clock = topics, topics.peer, clock
+        if clock:
+            self._peer.advertise(clock, f"{topics.package}.Clock")
 
     def tick(self, t_ns: int) -> None:
         """Publish the clock."""
@@ -54,3 +55,28 @@ class GazeboSink(PacedSink):
     def close(self) -> None:
         """Leave the network."""
         self._peer.close()
+
+
+def open_transport_sink(address: str, options: dict[str, Any]) -> GazeboSink:
+    """Open Gazebo's topics for frames from any source: `gazebo:?model=NAME&key=value`.
+
+    Raises:
+        InputError: an option is not valid.
+        MissingExtra: pyzmq or protobuf is not installed.
+    """
+    chosen = options_of(TransportSinkOptions, options, f"gazebo:{address}")
+    peer = TransportPeer(chosen.host, chosen.partition)
+    topics = RadarTopics(peer, f"/model/{chosen.model}", f"{chosen.messages}.msgs")
+    return GazeboSink(topics, chosen.pace, clock=chosen.clock)
+
+
+def open_classic_sink(address: str, options: dict[str, Any]) -> GazeboSink:
+    """Open gzserver's topics for frames from any source: `gazebo-classic:HOST:PORT?model=NAME&key=value`.
+
+    Raises:
+        InputError: an option or the address is not valid.
+        MissingExtra: protobuf is not installed.
+    """
+    chosen = options_of(ClassicSinkOptions, options, f"gazebo-classic:{address}")
+    peer = ClassicPeer(master_of(address), chosen.host)
+    return GazeboSink(RadarTopics(peer, f"/gazebo/{chosen.gazebo_world}/{chosen.model}", CLASSIC), chosen.pace)

@@ -9,7 +9,7 @@ from typing import Any
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.ports.cosimulation import CosimulationSource, options_of, rig_of, world_of
-from ullage.ports.intake import PATIENCE_S, Log, warn
+from ullage.ports.intake import Log, warn
 from ullage.ports.mavlink.link import POSES, Link, PoseMessage, leave, open_link
 from ullage.ports.mavlink.options import SourceOptions
 from ullage.ports.mavlink.poses import PoseBuilder, origin_of
@@ -35,7 +35,7 @@ class PoseFeed(EventFeed[PoseMessage]):
         self._builder = PoseBuilder(link.counters, options.poses, origin_of(options.origin))
         self._unsynced: deque[ModelPose] = deque()
         self._synchronised: bool | None = None  # None: not decided
-        self._begun_s = self._last_s = self._reported_s = time.monotonic()
+        self._begun_s = self._last_s
         self._first_s: float | None = None
         self._boot_ns = 0
         link.request_hz = options.request_hz
@@ -97,17 +97,17 @@ class PoseFeed(EventFeed[PoseMessage]):
         Raises:
             InputError: no HEARTBEAT came at all.
         """
-        now, there = time.monotonic(), self._link.autopilot
-        if there is None and now - self._begun_s > self._options.wait_s:
+        if self._link.autopilot is None and time.monotonic() - self._begun_s > self._options.wait_s:
             raise self._link.missing(self._options.wait_s)
-        if now - max(self._last_s, self._reported_s) < PATIENCE_S:
-            return None
-        self._reported_s = now
+        return super()._on_silence()
+
+    def _silence(self) -> str:
+        there = self._link.autopilot
         if there is None:
-            return Notice(f"waiting for HEARTBEAT on {self._link.name}")
+            return f"waiting for HEARTBEAT on {self._link.name}"
         self._link.poses_come = False
         wanted = {"odometry": POSES[0], "local": ", ".join(POSES[1:])}.get(self._options.poses, ", ".join(POSES))
-        return Notice(f"no poses of system {there.system}: frames wait (it should send {wanted})")
+        return f"no poses of system {there.system}: frames wait (it should send {wanted})"
 
 
 def source_of(address: str, options: dict[str, Any], *, log: Log | None = None) -> CosimulationSource:

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 
 from ullage.flight.pilot import Velocity
 from ullage.geometry import rpy_quat
 from ullage.ports import messages as ros
-from ullage.ports.drone import DroneOptions, DroneState, state_of
+from ullage.ports.drone import DroneOptions, DroneState, TopicDrone
 from ullage.ports.intake import Counters, Inbox
 from ullage.ports.plain import encoded
-from ullage.ports.publisher import Message, is_present
+from ullage.ports.publisher import Message
+from ullage.ports.ros2.incoming import stamp_ns
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions
 
 
-class RosDrone:
+class RosDrone(TopicDrone):
     """External drone that is commanded by topics under its namespace.
 
     Args:
@@ -31,11 +32,10 @@ class RosDrone:
     """
 
     def __init__(self, namespace: str, options: DroneOptions) -> None:
-        self.counters = Counters()
-        self._odom, self._cmd_vel = options.odom or "odom", options.cmd_vel or "cmd_vel"
-        self._setpoint = options.setpoint or "command/pose"
+        super().__init__(options.odom or "odom", Counters())
+        self._cmd_vel, self._setpoint = options.cmd_vel or "cmd_vel", options.setpoint or "command/pose"
         self._inbox: Inbox[bytes] = Inbox(self.counters)
-        self._frame, self._last_ns = "odom", 0
+        self._frame = "odom"
         self._peer = Peer(namespace, NodeOptions(node="ullage_interpreter"))
         topic = self._peer.resolved(self._odom)
         self._peer.listen(
@@ -47,35 +47,14 @@ class RosDrone:
         )
         self._peer.spin()
 
-    def states(self) -> list[DroneState]:
-        """Return the states since the last call, in order of time."""
-        out = []
+    def _arrived(self) -> Iterator[bytes]:
         while (data := self._inbox.get(0.0)) is not None:
-            self.counters.receive(self._odom)
-            try:
-                found = self._state(ros.from_bytes(ros.ODOMETRY, data))
-            except Exception as error:  # a damaged message can raise any error in the decoder
-                found = f"cannot be read: {type(error).__name__}"
-            if isinstance(found, str):
-                self.counters.drop(self._odom, "bad", found)
-            elif found.t_ns <= self._last_ns:
-                self.counters.drop(self._odom, "late")
-            else:
-                self._last_ns = found.t_ns
-                out.append(found)
-        return out
+            yield data
 
-    def _state(self, message: Any) -> DroneState | str:
+    def _state(self, data: bytes) -> DroneState | str:
+        message = ros.from_bytes(ros.ODOMETRY, data)
         self._frame = message.header.frame_id or "odom"
-        stamp = message.header.stamp
-        t_ns = stamp.sec * 10**9 + stamp.nanosec
-        at, turn = message.pose.pose.position, message.pose.pose.orientation
-        linear, angular = message.twist.twist.linear, message.twist.twist.angular
-        return state_of(
-            t_ns if is_present(t_ns) else time.time_ns(),  # a simulator's clock is not IMC's
-            (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w),
-            (linear.x, linear.y, linear.z), (angular.x, angular.y, angular.z),
-        )  # fmt: skip
+        return self._state_of(stamp_ns(message.header), message.pose.pose, message.twist.twist)
 
     def steer(self, velocity: Velocity) -> None:
         """Command a velocity in the level frame of the heading."""

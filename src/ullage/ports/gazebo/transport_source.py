@@ -11,16 +11,17 @@ import numpy as np
 from pydantic import Field
 
 from ullage.arrays import Floats
-from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, quat_matrix
 from ullage.ports.cosimulation import CosimulationOptions, CosimulationSource, matching, options_of, resolved
-from ullage.ports.gazebo.peer import Event, Peer, ProcessLeft, Received, TopicOffered
+from ullage.ports.gazebo.feed import Feed
+from ullage.ports.gazebo.messages import gz
+from ullage.ports.gazebo.peer import Event, ProcessLeft, Received, TopicOffered
 from ullage.ports.gazebo.scene import ask_scene
 from ullage.ports.gazebo.topics import RadarTopics
-from ullage.ports.gazebo.wire import gz
+from ullage.ports.gazebo.transport import TransportPeer
 from ullage.ports.intake import PATIENCE_S, Log
-from ullage.ports.pose_events import EventFeed, ModelPose, Notice, OtherModels, pose_of, stamp_ns
+from ullage.ports.pose_events import ModelPose, Notice, OtherModels, stamp_ns
 from ullage.ports.scanning import Scan, ScanSource, scan_of
 from ullage.world.scene import Scene
 
@@ -31,7 +32,7 @@ FULL_POSES_S = 0.2
 """Time between two reads of the full pose stream while the model is in the stream of moving models [s]."""
 
 
-class GazeboOptions(CosimulationOptions):
+class TransportOptions(CosimulationOptions):
     """Options of `gazebo:`."""
 
     topic: str = Field("", description="topic of the poses; none: /world/WORLD/dynamic_pose/info or pose/info")
@@ -39,8 +40,8 @@ class GazeboOptions(CosimulationOptions):
     partition: str | None = Field(None, description="none: GZ_PARTITION, or this host and user")
 
 
-class PoseFeed(EventFeed[Event]):
-    """Poses of one model and of other models from Gazebo's streams, and notices about the server.
+class TransportFeed(Feed):
+    """What gz-sim's pose streams tell.
 
     Args:
         peer: the connection to Gazebo.
@@ -50,25 +51,20 @@ class PoseFeed(EventFeed[Event]):
         others: names of the world's other models.
     """
 
+    server = "Gazebo"
+
     def __init__(
-        self, peer: Peer, options: GazeboOptions, world: str, mounts: Mapping[str, Floats],
+        self, peer: TransportPeer, options: TransportOptions, world: str, mounts: Mapping[str, Floats],
         others: frozenset[str] = frozenset(),
     ) -> None:  # fmt: skip
-        super().__init__(peer)
-        self._peer, self._options, self.world = peer, options, world
-        self._others = frozenset() if options.rays else others - {options.model}  # rays meet them without our help
+        super().__init__(peer, options, world, others, patience_s=PATIENCE_S)
+        self._transport, self._options, self._mounts = peer, options, mounts
         self._roaming: set[str] = set()  # models that the stream of moving models had
         self._full_poses_s = 0.0
-        self.package = "gz.msgs"
-        self.newest_ns = 0
+        self._package = "gz.msgs"
         self._servers: set[str] = set()  # processes that publish poses
         self._dynamic = False  # the model is in the stream of moving models
-        self._seen = False
         self._missed_s: float | None = None
-        self._last_s, self._logged_s = time.monotonic(), 0.0
-        self._paused = False
-        self._topics: RadarTopics | None = None
-        self._mounts, self._scans = mounts, dict[str, str]()  # name of the ray sensor by its topic
         self._at: ModelPose | None = None
         if options.topic:
             peer.subscribe(options.topic)
@@ -78,22 +74,27 @@ class PoseFeed(EventFeed[Event]):
             return self._met(event)
         if isinstance(event, ProcessLeft):
             return self._lost(event)
+        return self._read(event) if isinstance(event, Received) else None
+
+    def _read(self, event: Received) -> ModelPose | OtherModels | Scan | Notice | None:
         if event.topic in self._scans:
             return self._scan(event)
-        for pattern, read in ((STATS, self._status), (SCENE, self._news)):
-            if pattern.fullmatch(event.topic):
-                return read(event)
+        if STATS.fullmatch(event.topic):
+            return self._pause(gz().WorldStatistics.FromString(event.data))
+        if SCENE.fullmatch(event.topic):
+            names = (model.name for model in gz().Scene.FromString(event.data).model)
+            return OtherModels(self.newest_ns, new=self._new_models(names))
         found = self._pose(event)
-        if self._options.rays and isinstance(found, ModelPose):
+        if self._rays and isinstance(found, ModelPose):
             self._at = found
             return None
         return found
 
     def _scan(self, event: Received) -> Scan | None:
         """Return a scan at the last pose of the model."""
-        message = _read("LaserScan", event)
+        message = gz().LaserScan.FromString(event.data)
         if self._at is None:
-            self.counters.drop(event.topic, "no pose", f"nothing told where {self._options.model!r} is")
+            self.counters.drop(event.topic, "no pose", f"nothing told where {self._model!r} is")
             return None
         sensor = self._scans[event.topic]
         mounted = transform_of(self._at) @ self._mounts[sensor]
@@ -101,7 +102,7 @@ class PoseFeed(EventFeed[Event]):
         return scan_of(message, message.header.stamp, pose, sensor=sensor)
 
     def _met(self, event: TopicOffered) -> Notice | None:
-        if self._options.rays and (sensor := self._cast_by(event.topic)):
+        if self._rays and (sensor := self._cast_by(event.topic)):
             self._scans[event.topic] = sensor
             self._peer.subscribe(event.topic)
         found = POSES.fullmatch(event.topic)
@@ -115,7 +116,7 @@ class PoseFeed(EventFeed[Event]):
             self._peer.subscribe(f"/world/{found[1]}/stats")
             if self._others:
                 self._peer.subscribe(f"/world/{found[1]}/scene/info")
-        self.package = event.kind.rpartition(".")[0] or self.package
+        self._package = event.kind.rpartition(".")[0] or self._package
         fresh = not self._servers
         self._servers.add(event.process)
         self._peer.subscribe(event.topic)
@@ -125,27 +126,20 @@ class PoseFeed(EventFeed[Event]):
         """Return the name of the ray sensor that publishes this topic; empty: none of ours."""
         if self._options.scan_topic:
             return next(iter(self._mounts)) if topic == self._options.scan_topic else ""
-        ours = f"/model/{self._options.model}/" in topic
+        ours = f"/model/{self._model}/" in topic
         return next((name for name in self._mounts if ours and topic.endswith(f"/sensor/{name}/scan")), "")
 
     def _lost(self, event: ProcessLeft) -> Notice | None:
         if event.process not in self._servers:
             return None
         self._servers.discard(event.process)
-        return None if self._servers else Notice("Gazebo has gone; waiting for it to come back (Ctrl-C ends)")
-
-    def _status(self, event: Received) -> Notice | None:
-        stats = _read("WorldStatistics", event)
-        if stats.paused == self._paused:
-            return None
-        self._paused = bool(stats.paused)
-        return Notice("Gazebo is paused" if self._paused else "Gazebo goes on")
+        return None if self._servers else self._server_gone()
 
     def _pose(self, event: Received) -> ModelPose | Notice | None:
         dynamic = event.topic.endswith("/dynamic_pose/info")
         if self._dynamic and not dynamic and not self._full_poses_due():
             return None
-        poses = _read("Pose_V", event)
+        poses = gz().Pose_V.FromString(event.data)
         self._last_s = time.monotonic()
         t_ns = stamp_ns(poses.header.stamp)
         # reversed, since models come before links and may share names with them
@@ -154,11 +148,10 @@ class PoseFeed(EventFeed[Event]):
             self._ready.append(self._other_models(event.topic, t_ns, by_name))
         if self._dynamic and not dynamic:
             return None
-        if self._options.model not in by_name:
+        if self._model not in by_name:
             return self._missing(poses, dynamic)
-        self._missed_s, self._seen, self._dynamic = None, True, self._dynamic or dynamic
-        self.newest_ns = t_ns
-        return ModelPose(t_ns, *pose_of(by_name[self._options.model]))
+        self._missed_s, self._dynamic = None, self._dynamic or dynamic
+        return self._seen(t_ns, by_name[self._model])
 
     def _full_poses_due(self) -> bool:
         """Whether to read the full pose stream now."""
@@ -169,8 +162,8 @@ class PoseFeed(EventFeed[Event]):
 
     def _other_models(self, topic: str, t_ns: int, by_name: dict[str, Any]) -> OtherModels:
         """Return the poses of other models and the names of models that left."""
-        poses = self._valid_poses(topic, {name: by_name[name] for name in self._others & by_name.keys()})
         here = self._others & by_name.keys()
+        poses = self._valid_poses(topic, {name: by_name[name] for name in here})
         found = POSES.fullmatch(topic)
         if found is None:  # a custom topic may hold only some models
             return OtherModels(t_ns, poses)
@@ -180,12 +173,6 @@ class PoseFeed(EventFeed[Event]):
             return OtherModels(t_ns, poses, gone)
         return OtherModels(t_ns, poses, self._others - here)
 
-    def _news(self, event: Received) -> OtherModels | None:
-        """Return the names of models that are new in the world."""
-        message = _read("Scene", event)
-        names = frozenset(model.name for model in message.model)
-        return OtherModels(self.newest_ns, new=names - self._others - {self._options.model})
-
     def _missing(self, poses: Any, dynamic: bool) -> Notice | None:
         now = time.monotonic()
         if dynamic and not self._dynamic:
@@ -193,28 +180,21 @@ class PoseFeed(EventFeed[Event]):
         self._missed_s = self._missed_s or now
         if now - self._missed_s < 1.0:
             return None
-        if self._seen:
-            return Notice(f"the model {self._options.model!r} has gone from Gazebo; waiting for it to come back")
+        if self._known:
+            return self._model_gone()
         names = ", ".join(dict.fromkeys(pose.name for pose in poses.pose[:12]))
-        return Notice(f"no model {self._options.model!r} in Gazebo's poses (there are {names})")
+        return Notice(f"no model {self._model!r} in Gazebo's poses (there are {names})")
 
     def _on_silence(self) -> Notice | None:
-        now = time.monotonic()
-        if self._paused or now - max(self._last_s, self._logged_s) < PATIENCE_S:
-            return None
-        self._logged_s = now
-        what = self._options.topic or f"/world/{self.world or 'WORLD'}/pose/info"
-        host, partition = self._peer.host, self._peer.partition
-        return Notice(
-            f"no poses on {what} (listening on {host}, partition {partition}; start Gazebo with GZ_IP={host})"
-        )
+        return None if self._paused else super()._on_silence()
 
-    def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
-        """Publish frames."""
-        if self._topics is None:
-            self._topics = RadarTopics(self._peer, self._options.model, self.package)
-        for frames in chunk.values():
-            self._topics.write(frames, offset_ns)
+    def _silence(self) -> str:
+        what = self._options.topic or f"/world/{self.world or 'WORLD'}/pose/info"
+        host, partition = self._transport.host, self._transport.partition
+        return f"no poses on {what} (listening on {host}, partition {partition}; start Gazebo with GZ_IP={host})"
+
+    def _radar_topics(self) -> RadarTopics:
+        return RadarTopics(self._peer, f"/model/{self._model}", self._package)
 
 
 def transform_of(found: ModelPose) -> Floats:
@@ -224,12 +204,12 @@ def transform_of(found: ModelPose) -> Floats:
     return out
 
 
-def source_of(address: str, options: dict[str, Any], *, log: Log | None = None) -> CosimulationSource | ScanSource:
+def open_source(address: str, options: dict[str, Any], *, log: Log | None = None) -> CosimulationSource | ScanSource:
     """Open radars on a model of a running Gazebo: `gazebo:WORLD?model=NAME`.
 
     Args:
         address: Gazebo's name of the world; empty: the first world that gives poses.
-        options: as `GazeboOptions` lists them.
+        options: as `TransportOptions` lists them.
         log: takes lines for the user; None: they become warnings.
 
     Raises:
@@ -237,10 +217,10 @@ def source_of(address: str, options: dict[str, Any], *, log: Log | None = None) 
         MissingExtra: pyzmq or protobuf is not installed.
     """
     where = f"gazebo:{address}"
-    chosen = options_of(GazeboOptions, options, where)
+    chosen = options_of(TransportOptions, options, where)
     served: Scene | None = None
     if not chosen.world:
-        with Peer(chosen.host, chosen.partition) as peer:
+        with TransportPeer(chosen.host, chosen.partition) as peer:
             served = ask_scene(peer, address, where=where)
     chosen, scene, rig = resolved(chosen, where, served)
     named, missing = matching(chosen.rays, rig.sensors)
@@ -251,16 +231,10 @@ def source_of(address: str, options: dict[str, Any], *, log: Log | None = None) 
         raise InputError(f"one topic for {len(named)} ray sensors", where=where, allowed="scan_topic with one of rays=")
     mounts = {name: rig.sensors[name].mount.body_from_sensor() for name in named}
 
-    def join() -> PoseFeed:
-        return PoseFeed(Peer(chosen.host, chosen.partition), chosen, address, mounts, frozenset(scene.models))
+    def join() -> TransportFeed:
+        peer = TransportPeer(chosen.host, chosen.partition)
+        return TransportFeed(peer, chosen, address, mounts, frozenset(scene.models))
 
     if chosen.rays:
         return ScanSource(join, rig, chosen, scene=scene, log=log)
     return CosimulationSource(join, scene, rig, chosen, log=log)
-
-
-def _read(kind: str, event: Received) -> Any:
-    """Return the message of an event; the caller counts messages that cannot be read."""
-    message = getattr(gz(), kind)()
-    message.ParseFromString(event.data)
-    return message
