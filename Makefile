@@ -16,7 +16,7 @@ help:
 	@echo "make lint   formatting, style, types, layers"
 	@echo "make slow   the slower tests"
 	@echo "make statements  every statement about the thesis and the errors that break it (24 minutes; make slow: a sample)"
-	@echo "make bounds the tests of radar and processing once more, every index of every kernel checked"
+	@echo "make bounds tests that run every kernel, with every index checked"
 	@echo "make fuzz   damage real inputs of every reader for an hour (SECONDS=300 for less) and print counts"
 	@echo "make mutants break the code at 100 random places and count what the tests notice (hours; MUTANTS='-n 10')"
 	@echo "make docs   build the documentation into site/"
@@ -43,9 +43,17 @@ slow: $(VENV)/.dev
 statements: $(VENV)/.dev
 	$(BIN)/python -m pytest tests/studies/test_statement_mutants.py
 
+# tests that together run every kernel; every_kernel fails where one is run by none of them
+BOUNDS := kernels flight/test_contact.py flight/test_fly.py ports/imc/test_imc_codec.py \
+  $(addprefix processing/test_,backprojection.py blocks.py clean.py detect.py elfes.py likelihood_lying.py \
+    likelihood_volume.py::test_all_six_faces_of_a_room_are_found_by_a_climbing_flight mapper_order.py track.py) \
+  $(addprefix radar/test_,edges.py explain.py::test_penetration_delay_and_loss fermat.py materials.py multipath.py \
+    rays.py receiver.py roughness.py shadows.py simulate.py sphere_bounces.py spheres.py wall_bodies.py wire_bounces.py zones.py)
+bounds: export NUMBA_BOUNDSCHECK := 1
 bounds: $(VENV)/.dev
-	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -m "not slow" -n 2 \
-	  --dist loadfile --no-loadscope-reorder tests/physics tests/processing tests/radar
+	@$(BIN)/python -c "from ullage.experiments import warmup; warmup.compiled() or warmup.compile_kernels(log=print)"
+	PYTHONPATH=tools $(BIN)/python -m pytest -p every_kernel -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder \
+	  $(addprefix tests/,$(BOUNDS))
 
 mutants: $(VENV)/.dev
 	$(BIN)/python tools/mutants.py $(MUTANTS)

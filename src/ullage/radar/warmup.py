@@ -385,10 +385,11 @@ def _paths_over_faces() -> None:
     known = reached([], planar, led, long, none)
     mirrors = context.mirrors(planar)
     pairs = paths.Weighed(known.stops, known.rows, long, long, np.zeros(0, np.int32))
-    paths.weigh(pairs, led.faces, antennas.fields, mirrors, paths.FieldScratch(np.zeros((3, 3)), both.copy()),
+    waves = np.zeros((2, 3), complex)
+    paths.weigh(pairs, led.faces, antennas.fields, mirrors, paths.FieldScratch(np.zeros((3, 3)), waves),
                 both[:, 0].copy())  # fmt: skip
     met = paths.WireMeetings(long, long, both, np.zeros(0))
-    scratch = paths.FieldScratch(np.zeros((5, 4, 3)), both)
+    scratch = paths.FieldScratch(np.zeros((5, 4, 3)), waves)
     paths.meet_wires(np.zeros((2, 0, 3)), led.over_mirrors, 9.0, antennas.fields, mirrors, flat_faces(planar), met,
                      scratch)  # fmt: skip
     curves.met(context, planar, still.flat_backs, led, long, 1.0)
