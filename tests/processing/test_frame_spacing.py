@@ -18,18 +18,21 @@ SIZE = (6.0, 5.0, 3.0)
 
 @pytest.fixture(scope="module")
 def flown() -> tuple[ul.Scene, dict[str, ul.Frames]]:
-    """A round through a room, a frame every 2 cm."""
+    """A round through a room, a frame every 2.8 cm."""
     scene = ul.scenes.room(SIZE)
-    path = flights.level_round(3)
-    inner = ul.Trajectory(path.t_ns, path.position * [0.7, 0.7, 1.0], path.quat_xyzw)
-    return scene, flights.received(scene, inner, 3)
+    return scene, flights.received(scene, inner(flights.level_round(3))[::2], 3)
 
 
-@pytest.mark.parametrize("stride", [1, 3, 5, 7, 10])  # 1.4 to 14 cm
+def inner(path: ul.Trajectory) -> ul.Trajectory:
+    """A round nearer to the middle of the room."""
+    return ul.Trajectory(path.t_ns, path.position * [0.7, 0.7, 1.0], path.quat_xyzw)
+
+
+@pytest.mark.parametrize("stride", [1, 5])  # 2.8 and 14 cm
 def test_a_room_is_mapped_about_as_well_from_sparse_frames(flown, stride):
     scene, frames = flown
     sparse = {name: part[::stride] for name, part in frames.items()}
-    judged_by = {name: part[::5] for name, part in frames.items()}  # the same surface in view for every stride
+    judged_by = {name: part[::3] for name, part in frames.items()}  # the same surface in view for every stride
     found = ul.metrics.map_quality(ul.map_occupancy(sparse, flights.plane_of(scene), method="rules"), scene, judged_by)
     assert found["f1"].value > 0.85
     assert found["precision"].value > 0.93
@@ -38,9 +41,7 @@ def test_a_room_is_mapped_about_as_well_from_sparse_frames(flown, stride):
 
 def test_a_volume_is_mapped_from_frames_10_cm_apart(flown):
     scene, _ = flown
-    path = flights.rising_round(3)
-    frames = flights.received(scene, ul.Trajectory(path.t_ns, path.position * [0.7, 0.7, 1.0], path.quat_xyzw), 3)
-    sparse = {name: part[::7] for name, part in frames.items()}
+    sparse = flights.received(scene, inner(flights.rising_round(3))[::7], 3)
     found = ul.metrics.map_quality(ul.map_occupancy(sparse, flights.volume_of(scene), method="rules"), scene, sparse)
     assert found["f1"].value > 0.85  # 0.75 where looks count alike however far apart
     assert found["precision"].value > 0.95
