@@ -85,7 +85,7 @@ def read_imc(path: Path) -> None:
 
 def mavlink_seeds(_: Path) -> Sequence[bytes]:
     """A heartbeat, poses of every kind and a clock, as numbers and payloads."""
-    from ullage.ports.mavlink.dialect import mavlink
+    from ullage.ports.mavlink.wire import mavlink
 
     d = mavlink()
     rows = [
@@ -106,8 +106,8 @@ def read_mavlink(path: Path) -> None:
     """Raw bytes into the decoder, then each payload in a packet with a sound checksum; poses of what comes out."""
     from pymavlink.generator.mavcrc import x25crc
 
-    from ullage.ports.mavlink.dialect import Decoder, mavlink
-    from ullage.ports.mavlink.poses import PoseBuilder
+    from ullage.ports.mavlink.source import PoseBuilder
+    from ullage.ports.mavlink.wire import Decoder, mavlink
 
     blob, counters, d = path.read_bytes(), Counters(quiet), mavlink()
     decoder, poses = Decoder(counters, "peer"), PoseBuilder(counters, "auto", np.eye(4))

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from imc_peer import Peer
 
 import ullage as ul
-from ullage.ports.imc import radars
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, make
+from ullage.ports.imc.frames import exact
+from ullage.ports.imc.frames import settings as settings_message
 
 
 def told(folder: Path, frames: dict[str, ul.Frames]) -> bytes:
@@ -66,7 +67,7 @@ class _Given:
 
 def bytes_of_frames() -> list[bytes]:
     frames = some_frames(3)
-    return [radars.settings(frames)["value"], *(message["value"] for message in radars.exact(frames, 0, truth=True))]
+    return [settings_message(frames)["value"], *(message["value"] for message in exact(frames, 0, truth=True))]
 
 
 GOOD = bytes_of_frames()

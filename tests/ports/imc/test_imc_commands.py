@@ -11,7 +11,7 @@ import pytest
 from ullage.flight.live import Steered, Wish
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import Message, Packet, make
-from ullage.ports.imc.commands import MANEUVERS, Commands
+from ullage.ports.imc.helm import MANEUVERS, Commands
 
 ORIGIN = Geodetic.degrees(63.4185, 10.4009, 40.0)
 CONTROLLER = 0x0803

@@ -13,7 +13,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +24,10 @@ from imc_peer import Peer
 import ullage as ul
 from ullage.ports.imc.assemble import MOST_PARTS, FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, Parser, encode, make
-from ullage.ports.imc.link import OUTBOX_BYTES, Identity, Link, Outbox
+from ullage.ports.imc.link import INBOX, Link, open_link
+from ullage.ports.imc.options import LinkOptions
 from ullage.ports.imc.table import own
-from ullage.ports.imc.tcp import TcpWire
-from ullage.ports.imc.udp import MOST_PEERS, UdpWire
+from ullage.ports.imc.wires import MOST_PEERS, OUTBOX_BYTES, Identity, Outbox, UdpWire
 from ullage.ports.intake import Counters
 
 
@@ -41,17 +41,22 @@ def until(true: Callable[[], object], seconds: float = 60.0) -> bool:
 
 
 @contextmanager
-def tcp(
-    place: str, *, silence_s: float = 15.0, reconnect: bool = True, **limits: int
-) -> Iterator[tuple[Link, list[str]]]:
+def linked(place: str, me: Identity, **options: float | bool) -> Iterator[tuple[Link, list[str]]]:
+    """A link of its own, and what it says."""
     told: list[str] = []
-    host, port = place.removeprefix("tcp://").split(":")
-    wire = TcpWire(host, int(port), table=own(), silence_s=silence_s, reconnect=reconnect, log=told.append)
-    link = Link(wire, Identity(0x9001, "ullage"), log=told.append, **limits)
+    link = open_link(place, LinkOptions(port=0, **options), me, role="vehicle", log=told.append)
     try:
         yield link, told
     finally:
         link.close()
+
+
+def tcp(place: str, **options: float | bool) -> AbstractContextManager[tuple[Link, list[str]]]:
+    return linked(place, Identity(0x9001, "ullage"), **options)
+
+
+def udp(number: int, name: str, place: str = "", **options: float) -> AbstractContextManager[tuple[Link, list[str]]]:
+    return linked(place, Identity(number, name), **options)
 
 
 def names(link: Link, wanted: str) -> bool:
@@ -115,9 +120,9 @@ def test_a_slow_reader_costs_messages_not_memory() -> None:
 
 def test_a_flood_costs_messages_not_memory() -> None:
     flood = heartbeat(1.7e9) * 3000
-    with Peer(tick=lambda _: flood) as peer, tcp(peer.place, most_waiting=500) as (link, told):
+    with Peer(tick=lambda _: flood) as peer, tcp(peer.place) as (link, told):
         assert until(lambda: link.counters.dropped("lost", topic="Heartbeat") > 1000)
-        assert len(link.receive()) <= 500
+        assert len(link.events) <= INBOX
         assert until(lambda: told)
         assert told == ["messages come faster than they are used; the oldest are dropped"]
 
@@ -229,25 +234,6 @@ def test_what_is_damaged_is_dropped_counted_and_reported(damaged: bytes, topic: 
     assert any(line.startswith(topic) and f"dropped 1 bad ({words})" in line for line in told), told
 
 
-# UDP
-
-
-@contextmanager
-def udp(
-    number: int, name: str, *, place: tuple[str, int] | None = None, silence_s: float = 15.0
-) -> Iterator[tuple[Link, list[str]]]:
-    told: list[str] = []
-    me = Identity(number, name)
-    wire = UdpWire(
-        place, table=own(), own=me, interface="127.0.0.1", port=0, silence_s=silence_s, reconnect=True, log=told.append
-    )  # fmt: skip
-    link = Link(wire, me, log=told.append)
-    try:
-        yield link, told
-    finally:
-        link.close()
-
-
 def test_two_peers_find_each_other_and_talk() -> None:
     with udp(0x9001, "one") as (one, _), udp(0x9002, "two") as (two, _):
         assert until(lambda: one.connected and two.connected)
@@ -259,10 +245,8 @@ def test_two_peers_find_each_other_and_talk() -> None:
 
 def test_a_thousand_peers_cost_no_memory_and_are_counted() -> None:
     counters = Counters()
-    wire = UdpWire(
-        None, table=own(), own=Identity(0x9001, "one"), interface="127.0.0.1", port=0, silence_s=3600.0, reconnect=True,
-        log=lambda _: None, counters=counters,
-    )  # fmt: skip
+    options = LinkOptions(port=0, silence_s=3600.0)
+    wire = UdpWire(None, Identity(0x9001, "one"), options, own(), lambda _: None, counters)
     speaker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     place = wire.services[0].removeprefix("imc+udp://").rstrip("/").split(":")
     found = 0
@@ -340,7 +324,7 @@ def test_a_place_named_beforehand_needs_no_announcement() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
         there.bind(("127.0.0.1", 0))
         there.settimeout(60)
-        with udp(0x9001, "one", place=there.getsockname()) as (one, _):
+        with udp(0x9001, "one", place="udp://{}:{}".format(*there.getsockname())) as (one, _):
             data, back = there.recvfrom(65535)
             assert [p.name for p in Parser().feed(data)] == ["Announce"]
             there.sendto(heartbeat(1.7e9), back)

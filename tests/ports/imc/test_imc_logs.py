@@ -16,8 +16,7 @@ from test_imc_codec import one_of_each
 import ullage as ul
 from ullage.errors import InputError, UllageWarning
 from ullage.ports.imc.codec import Parser, encode
-from ullage.ports.imc.definition import shared, to_xml
-from ullage.ports.imc.table import from_xml, own
+from ullage.ports.imc.table import from_xml, own, shared, to_xml
 
 
 def flight(n: int = 60) -> bytes:

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common as mav
 import ullage as ul
 from ullage.geometry import quat_matrix, quat_rpy, rpy_quat
 from ullage.ports.intake import Counters
-from ullage.ports.mavlink.poses import PoseBuilder, origin_of
+from ullage.ports.mavlink.source import PoseBuilder, origin_of
 
 
 def builder(wanted: Any = "auto", origin: str = "", counters: Counters | None = None) -> PoseBuilder:

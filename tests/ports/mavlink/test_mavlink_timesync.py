@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ullage.ports.intake import Counters
-from ullage.ports.mavlink.timesync import ClockOffset
+from ullage.ports.mavlink.link import ClockOffset
 
 BOOT_NS = -1_700_000_000_123_456_789
 

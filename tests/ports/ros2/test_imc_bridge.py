@@ -12,7 +12,7 @@ import ullage as ul
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, Parser, encode, make
-from ullage.ports.imc.encode import BODY
+from ullage.ports.imc.frames import BODY
 from ullage.ports.imc.relay import LOCAL
 from ullage.ports.imc.table import own
 

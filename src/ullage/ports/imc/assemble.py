@@ -20,8 +20,8 @@ from ullage.ports import conversions
 from ullage.ports import messages as ros
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import Packet, readable
+from ullage.ports.imc.frames import carried, mount_of, profile_of
 from ullage.ports.imc.geodetic import Pose, path_along, pose_of
-from ullage.ports.imc.radars import carried, mount_of, profile_of
 from ullage.ports.intake import Clock, Counters, Log, Place, PoseQueue, Stamped, Stream
 from ullage.specs import MountSpec, RadarSpec
 

@@ -12,8 +12,8 @@ from ullage.arrays import Floats
 from ullage.flight.missions import Waypoints
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import Packet, make, readable
-from ullage.ports.imc.commands import FAILURE, REQUEST, START, STOP, SUCCESS
 from ullage.ports.imc.geodetic import Pose
+from ullage.ports.imc.helm import FAILURE, REQUEST, START, STOP, SUCCESS
 from ullage.ports.imc.link import Link
 from ullage.ports.intake import Log
 from ullage.ports.ned import SWAP

@@ -247,13 +247,12 @@ def decode(data: bytes, *, table: Table | None = None) -> Packet:
     """
     if len(data) < HEAD + TAIL:
         raise Malformed("cut")
-    big = data[:2] == SYNC.to_bytes(2, "big")
-    sync, number, size, t_s, src, src_ent, dst, dst_ent = HEADER[big].unpack_from(data)
-    if sync != SYNC or len(data) != HEAD + size + TAIL:
+    word = WORD[data[:2] == SYNC.to_bytes(2, "big")]
+    if word.unpack_from(data)[0] != SYNC or len(data) != HEAD + word.unpack_from(data, 4)[0] + TAIL:
         raise Malformed("sync or size does not fit")
-    if crc(data[:-TAIL]) != WORD[big].unpack_from(data, HEAD + size)[0]:
+    if crc(data[:-TAIL]) != word.unpack_from(data, len(data) - TAIL)[0]:
         raise Malformed("checksum does not fit")
-    return Packet(body(number, data[HEAD:-TAIL], big, table or own()), t_s, src, src_ent, dst, dst_ent, number)
+    return decode_sound(data, table or own())
 
 
 def body(number: int, payload: bytes, big: bool, table: Table) -> Message:

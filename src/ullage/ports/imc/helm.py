@@ -1,24 +1,47 @@
-"""A DUNE controller flies a multirotor, simulated or external: EstimatedState goes out, commands come in."""
+"""A DUNE controller flies a multirotor, simulated or external: EstimatedState goes out, commands come in.
+
+`Commands` converts the messages of the controller to requests, as the thesis' interpreter_quadcopter: set-points,
+references, and maneuvers that a multirotor can fly: by a velocity, to a place, along a straight path, or hovering
+[Billdal2018, 3.5.2].
+"""
 
 from __future__ import annotations
 
+import math
 import threading
 import time
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from ullage.arrays import Floats
 from ullage.flight.live import Steered, Wish
 from ullage.ports.drone import Guided
 from ullage.ports.geodetic import Geodetic
-from ullage.ports.imc.codec import NOBODY, Packet, make
-from ullage.ports.imc.commands import Commands
+from ullage.ports.imc.codec import NOBODY, Message, Packet, make
 from ullage.ports.imc.geodetic import Pose, state_of
 from ullage.ports.imc.link import Link
 from ullage.ports.intake import Log
+from ullage.ports.ned import SWAP
+
+DEPTH, ALTITUDE, HEIGHT = 1, 2, 3
+METRES_A_SECOND = 0
+FORCE_X, FORCE_Y, FORCE_Z = 1, 2, 4
+SURGE, SWAY, HEAVE, YAW = 1, 2, 4, 32
+FROM_START, NO_Z = 1, 4
+AT_PLACE, AT_SPEED, AT_Z = 1, 2, 4
+REQUEST, SUCCESS, FAILURE = 0, 1, 2
+EXECUTE, STOP_MANEUVER = 0, 1
+START, STOP = 0, 1
+BRAKES = 1
+PLACES = ("Goto", "Loiter", "StationKeeping", "StationKeepingExtended", "Takeoff")
+"""Maneuvers that go to a place and hover there."""
+HOVERS = ("IdleManeuver", "StopManeuver", "Teleoperation")
+"""Maneuvers that hover: an operator's commands come as set-points of their own."""
+MANEUVERS = (*PLACES, *HOVERS, "FollowReference")
 
 
-class Vehicle(Protocol):
-    """A vehicle that a controller can fly."""
+class Craft(Protocol):
+    """A multirotor that takes requests."""
 
     @property
     def wish(self) -> Wish:
@@ -30,6 +53,161 @@ class Vehicle(Protocol):
 
     def ask(self, wish: Wish) -> None:
         """Change the request."""
+
+
+class Commands:
+    """Convert commands to requests.
+
+    Args:
+        craft: its position and last request complete some commands.
+        origin: geodetic place of the world's origin.
+        log: takes a line for a command that is not possible.
+    """
+
+    def __init__(self, craft: Craft, origin: Geodetic, log: Log) -> None:
+        self._craft, self._origin, self._log = craft, origin, log
+        self._reported: set[str] = set()
+        self._known: dict[str, Callable[[Mapping[str, Any]], Wish | None]] = {
+            "DesiredZ": self._height, "DesiredSpeed": self._speed, "DesiredVelocity": self._velocity,
+            "DesiredHeading": lambda m: Wish(heading_rad=math.pi / 2 - m["value"]),
+            "DesiredHeadingRate": lambda m: Wish(turn_rad_s=-m["value"]),
+            "DesiredVerticalRate": lambda m: Wish(climb_m_s=m["value"]),
+            "DesiredControl": self._force, "DesiredPath": self._path, "Reference": self._reference,
+            "Brake": lambda m: self.hover() if m["op"] == BRAKES else None,
+            "Abort": lambda m: self.hover(),
+        } | dict.fromkeys(PLACES, self._place) | dict.fromkeys(HOVERS, lambda m: self.hover())  # fmt: skip
+
+    def wish(self, packet: Packet) -> Wish | None:
+        """Return the request of a message, or None if it is no valid command."""
+        if packet.name == "Abort":
+            self._log(f"system {packet.src:#06x} says abort: hovering")
+        return self._of(packet.message)
+
+    def answer(self, packet: Packet) -> tuple[Wish | None, Message] | None:
+        """Return the request and the answer of a packet, or None if it is no request."""
+        if packet.name == "VehicleCommand" and packet["type"] == REQUEST:
+            stops = packet["command"] == STOP_MANEUVER
+            known = stops or packet["command"] == EXECUTE
+            wish, wrong = self._started(None if stops else packet["maneuver"]) if known else (None, "not supported")
+            same = {key: packet[key] for key in ("request_id", "command", "calib_time")}
+            return wish, make("VehicleCommand", type=FAILURE if wrong else SUCCESS, info=wrong, **same)
+        if packet.name == "PlanControl" and packet["type"] == REQUEST:
+            stops = packet["op"] == STOP
+            known = stops or packet["op"] == START
+            wish, wrong = self._started(None if stops else packet["arg"]) if known else (None, "not supported")
+            same = {key: packet[key] for key in ("op", "request_id", "plan_id", "flags")}
+            return wish, make("PlanControl", type=FAILURE if wrong else SUCCESS, info=wrong, **same)
+        return None
+
+    def _started(self, maneuver: Message | None) -> tuple[Wish | None, str]:
+        """Return the request of a maneuver (None: hover), and why it is not possible."""
+        if maneuver is None or maneuver.name == "FollowReference":
+            return self.hover(), ""
+        if maneuver.name not in MANEUVERS:
+            return None, f"a multirotor of ullage does not fly {maneuver.name or 'this'}: {', '.join(MANEUVERS)}"
+        wish = self._of(maneuver)
+        return wish, "" if wish is not None else f"{maneuver.name} has no use here"
+
+    def _of(self, message: Message) -> Wish | None:
+        numbers = [value for value in message.values.values() if isinstance(value, float)]
+        if message.name not in self._known or not all(map(math.isfinite, numbers)):
+            return None
+        return self._known[message.name](message.values)
+
+    def hover(self) -> Wish:
+        """Stay here."""
+        here = self._craft.position
+        return Wish(height_m=None if here is None else float(here[2]), velocity_m_s=(0.0, 0.0), turn_rad_s=0.0)
+
+    def _metres_a_second(self, m: Mapping[str, Any], key: str) -> float | None:
+        if m["speed_units"] != METRES_A_SECOND:
+            if key not in self._reported:
+                self._reported.add(key)
+                self._log(f"{key} is taken in m/s only")
+            return None
+        return float(m["value" if key == "DesiredSpeed" else "speed"])
+
+    def _speed(self, m: Mapping[str, Any]) -> Wish | None:
+        """Read a forward speed, or the greatest speed towards a goal."""
+        speed = self._metres_a_second(m, "DesiredSpeed")
+        if speed is None:
+            return None
+        if self._craft.wish.position_m is not None and speed > 0:
+            return Wish(speed_m_s=speed)
+        return Wish(velocity_m_s=(speed, 0.0))
+
+    def _velocity(self, m: Mapping[str, Any]) -> Wish:
+        flags = m["flags"]
+        return Wish(
+            velocity_m_s=(m["u"] if flags & SURGE else 0.0, -m["v"] if flags & SWAY else 0.0),
+            climb_m_s=-m["w"] if flags & HEAVE else None,
+            turn_rad_s=-m["r"] if flags & YAW else None,
+        )
+
+    def _force(self, m: Mapping[str, Any]) -> Wish | None:
+        flags = m["flags"]
+        if not flags & (FORCE_X | FORCE_Y | FORCE_Z):
+            return None
+        signs = ((FORCE_X, "x", 1), (FORCE_Y, "y", -1), (FORCE_Z, "z", -1))
+        forward, left, up = (sign * m[key] if flags & flag else 0.0 for flag, key, sign in signs)
+        return Wish(force_n=(forward, left, up))
+
+    def _metres_up(self, value: float, units: int) -> float | None:
+        """The z in the world of a height over the ellipsoid, an altitude over the ground, or a depth."""
+        return {HEIGHT: value - self._origin.height_m, ALTITUDE: value, DEPTH: -value}.get(units)
+
+    def _height(self, m: Mapping[str, Any]) -> Wish | None:
+        """Read a height, or the height of the present goal."""
+        up, goal = self._metres_up(m["value"], m["z_units"]), self._craft.wish.position_m
+        if up is None or goal is None:
+            return None if up is None else Wish(height_m=up)
+        return Wish(position_m=(goal[0], goal[1], up), speed_m_s=self._craft.wish.speed_m_s)
+
+    def _point(self, lat: float, lon: float, up: float | None) -> tuple[float, float, float]:
+        """A place in the world; without a height, as high as the last one asked for, or as now."""
+        there = Geodetic(lat, lon, self._origin.height_m).earth_centred - self._origin.earth_centred
+        east, north, _ = (float(v) for v in SWAP @ self._origin.earth_from_ned.T @ there)
+        if up is None:
+            wish, here = self._craft.wish, self._craft.position
+            last = wish.position_m[2] if wish.position_m is not None else wish.height_m
+            up = last if last is not None else 0.0 if here is None else float(here[2])
+        return east, north, up
+
+    def _place(self, m: Mapping[str, Any]) -> Wish:
+        where = self._point(m["lat"], m["lon"], self._metres_up(m["z"], m["z_units"]))
+        return Wish(position_m=where, speed_m_s=self._metres_a_second(m, "speed") or None)
+
+    def _path(self, m: Mapping[str, Any]) -> Wish:
+        """The straight path of a DesiredPath; it begins here unless the message says where."""
+        level = bool(m["flags"] & NO_Z)
+        end = self._point(m["end_lat"], m["end_lon"], None if level else self._metres_up(m["end_z"], m["end_z_units"]))
+        if m["flags"] & FROM_START:
+            up = end[2] if level else self._metres_up(m["start_z"], m["start_z_units"])
+            start: tuple[float, float, float] | None = self._point(m["start_lat"], m["start_lon"], up)
+        else:
+            here = self._craft.position
+            start = None if here is None else (float(here[0]), float(here[1]), float(here[2]))
+        return Wish(position_m=end, from_m=start, speed_m_s=self._metres_a_second(m, "speed") or None)
+
+    def _reference(self, m: Mapping[str, Any]) -> Wish | None:
+        """A Reference: a place, a height and a speed, each where its flag is set."""
+        flags, last = m["flags"], self._craft.wish
+        z, speed = m["z"] if flags & AT_Z else None, m["speed"] if flags & AT_SPEED else None
+        up = None if z is None else self._metres_up(z["value"], z["z_units"])
+        most = None if speed is None else self._metres_a_second(speed.values, "DesiredSpeed") or None
+        if flags & AT_PLACE:
+            return Wish(position_m=self._point(m["lat"], m["lon"], up), speed_m_s=most or last.speed_m_s)
+        if up is not None and last.position_m is not None:
+            return Wish(position_m=(*last.position_m[:2], up), speed_m_s=most or last.speed_m_s)
+        return Wish(height_m=up) if up is not None else Wish(speed_m_s=most) if most else None
+
+
+class Vehicle(Protocol):
+    """A multirotor, and how it is flown."""
+
+    @property
+    def craft(self) -> Craft:
+        """The multirotor."""
 
     def fly(self) -> list[Pose]:
         """Fly until now, and return the poses since the last call."""
@@ -49,26 +227,12 @@ class Simulated:
     """
 
     def __init__(self, vehicle: Steered, *, rate_hz: float, pace: float, log: Log) -> None:
-        self._vehicle, self._log, self._pace = vehicle, log, pace
+        self.craft, self._log, self._pace = vehicle, log, pace
         self._period_ns = round(1e9 / rate_hz)
         self._begun: float | None = None
         self._count = 0
         self._epoch_ns = time.time_ns()
         self._touched = False
-
-    @property
-    def wish(self) -> Wish:
-        """The last request."""
-        return self._vehicle.wish
-
-    @property
-    def position(self) -> Floats | None:
-        """Its position (3) [m]."""
-        return self._vehicle.position
-
-    def ask(self, wish: Wish) -> None:
-        """Change the request."""
-        self._vehicle.ask(wish)
 
     def fly(self) -> list[Pose]:
         """Fly until now, and return the poses since the last call."""
@@ -77,7 +241,7 @@ class Simulated:
             self._begun = now
         due_ns = int((now - self._begun) * self._pace * 1e9)
         out: list[Pose] = []
-        v = self._vehicle
+        v = self.craft
         while (self._count + 1) * self._period_ns <= due_ns:
             self._count += 1
             v.advance(self._count * self._period_ns)
@@ -102,26 +266,12 @@ class ExternalDrone:
     """
 
     def __init__(self, drone: Guided, *, rate_hz: float) -> None:
-        self._drone, self._period_ns, self._last_ns = drone, round(1e9 / rate_hz), 0
-
-    @property
-    def wish(self) -> Wish:
-        """The last request."""
-        return self._drone.wish
-
-    @property
-    def position(self) -> Floats | None:
-        """Its last position (3) [m]; None before the first state."""
-        return self._drone.position
-
-    def ask(self, wish: Wish) -> None:
-        """Change the request."""
-        self._drone.ask(wish)
+        self.craft, self._period_ns, self._last_ns = drone, round(1e9 / rate_hz), 0
 
     def fly(self) -> list[Pose]:
         """Return the poses since the last call, at most at the given rate."""
         out = []
-        for state in self._drone.fly():
+        for state in self.craft.fly():
             if state.t_ns - self._last_ns >= 0.9 * self._period_ns:
                 self._last_ns = state.t_ns
                 out.append(Pose(state.t_ns, state.position, state.quat_xyzw, state.velocity, state.spin))
@@ -129,7 +279,7 @@ class ExternalDrone:
 
     def close(self) -> None:
         """Hover, and release it."""
-        self._drone.close()
+        self.craft.close()
 
 
 class Helm:
@@ -148,7 +298,7 @@ class Helm:
 
     def __init__(self, vehicle: Vehicle, link: Link, *, origin: Geodetic, timeout_s: float, log: Log) -> None:
         self._vehicle, self._link, self._origin, self._log = vehicle, link, origin, log
-        self._commands = Commands(vehicle, origin, log)
+        self._commands = Commands(vehicle.craft, origin, log)
         self._timeout_s, self._received_s = timeout_s, 0.0
         self._commanded = self._adopted = False
 
@@ -167,7 +317,7 @@ class Helm:
             wish = self._commands.wish(packet)
         if wish is not None:
             self._commanded = True
-            self._vehicle.ask(wish)
+            self._vehicle.craft.ask(wish)
 
     def fly(self) -> list[Pose]:
         """Fly until now, send each pose to the controller and return the poses; none before a controller comes."""
@@ -176,7 +326,7 @@ class Helm:
         if self._commanded and time.monotonic() - self._received_s > self._timeout_s:
             self._commanded = False
             self._log(f"the controller has said nothing for {self._timeout_s:g} s: hovering")
-            self._vehicle.ask(self._commands.hover())
+            self._vehicle.craft.ask(self._commands.hover())
         poses = self._vehicle.fly()
         if self._link.connected:
             for pose in poses:

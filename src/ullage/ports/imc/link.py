@@ -4,131 +4,21 @@ from __future__ import annotations
 
 import threading
 import time
-import uuid
-import warnings
-from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal
 
-from ullage.errors import UllageWarning
-from ullage.ports.imc.codec import NOBODY, Message, Packet, Parser, compile_kernels, encode, make, readable
-from ullage.ports.imc.table import Table, own
+from ullage.ports.imc.codec import NOBODY, Message, Packet, compile_kernels, encode, make, readable
+from ullage.ports.imc.options import LinkOptions, endpoint
+from ullage.ports.imc.table import Table
+from ullage.ports.imc.wires import Entity, Identity, Outbox, TcpWire, UdpWire, Wire
 from ullage.ports.intake import Counters, Inbox, Log
+from ullage.ports.shared_links import SharedLinks
 
-MOBILE_SENSOR, UAV = 7, 4
 NORMAL = 1
-REPORT, QUERY = 0, 1
-INBOX, OUTBOX_BYTES = 20_000, 8_000_000
+QUERY = 1
+INBOX = 20_000
 AT_ONCE = 256
 """Most packets that are used at once, so that what follows does not get old meanwhile."""
 TICK_S = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class Entity:
-    """A part of a system that others see by its label."""
-
-    id: int
-    label: str
-    component: str = ""
-
-
-@dataclass(slots=True)
-class Identity:
-    """Our identity on the wire."""
-
-    system_id: int
-    name: str
-    sys_type: int = MOBILE_SENSOR
-    entities: list[Entity] = field(default_factory=list)
-    shared: bool = False  # another system on the bus has our address on purpose
-    uid: str = field(default_factory=lambda: uuid.uuid4().hex[:16])
-    lat_rad: float = 0.0
-    lon_rad: float = 0.0
-    height_m: float = 0.0
-
-    def announce(self, services: Sequence[str], table: Table) -> Message:
-        """Return the message that announces us."""
-        known = [f"ullage://0.0.0.0/uid/{self.uid}", "imc+info://0.0.0.0/version/5.4.31", *services]
-        return make(
-            "Announce", table=table, sys_name=self.name, sys_type=self.sys_type, owner=NOBODY, lat=self.lat_rad,
-            lon=self.lon_rad, height=self.height_m, services=";".join(known),
-        )  # fmt: skip
-
-    def entity_list(self, table: Table) -> Message:
-        """Return the labels and numbers of our parts."""
-        text = ";".join(f"{e.label}={e.id}" for e in self.entities)
-        return make("EntityList", table=table, op=REPORT, list=text)
-
-
-class Outbox:
-    """Packets that wait to be sent; if there are too many, the oldest are dropped."""
-
-    def __init__(self) -> None:
-        self._waiting: deque[bytes] = deque()
-        self._lock = threading.Lock()
-        self._size = self.dropped = 0
-
-    def put(self, data: bytes) -> None:
-        """Add one at the end."""
-        with self._lock:
-            self._waiting.append(data)
-            self._size += len(data)
-            while self._size > OUTBOX_BYTES:
-                self._size -= len(self._waiting.popleft())
-                self.dropped += 1
-
-    @property
-    def waiting_bytes(self) -> int:
-        """Size of all that waits."""
-        return self._size
-
-    def take(self) -> bytes | None:
-        """Return the oldest one, or None if none waits."""
-        with self._lock:
-            if not self._waiting:
-                return None
-            data = self._waiting.popleft()
-            self._size -= len(data)
-            return data
-
-    def clear(self) -> None:
-        """Forget them all."""
-        with self._lock:
-            self._waiting.clear()
-            self._size = 0
-
-    def __len__(self) -> int:
-        return len(self._waiting)
-
-
-class Wire(Protocol):
-    """Carry bytes to one or more peers; every call returns at once or within its timeout."""
-
-    @property
-    def services(self) -> Sequence[str]:
-        """Our services, as URIs."""
-
-    @property
-    def connected(self) -> bool:
-        """Whether a peer is connected."""
-
-    @property
-    def finished(self) -> bool:
-        """Whether the peer has gone for good."""
-
-    def exchange(self, out: Outbox, timeout_s: float) -> list[Packet]:
-        """Send and receive what is possible; wait until the timeout if nothing is."""
-
-    def greet(self, announce: bytes) -> None:
-        """Announce us to all listeners."""
-
-    def wake(self) -> None:
-        """End a running `exchange` early."""
-
-    def close(self) -> None:
-        """Close the sockets."""
 
 
 class Link:
@@ -139,21 +29,17 @@ class Link:
         me: our identity.
         table: the messages.
         log: takes lines for the user: that the link waits, that a peer has gone.
-        listens: whether the caller uses `receive`.
         counters: count damaged and dropped messages.
-        most_waiting: messages that may wait to be received; beyond that the oldest are lost.
+        listens: whether the caller uses `receive`.
     """
 
     def __init__(
-        self, wire: Wire, me: Identity, *, table: Table | None = None, log: Log | None = None,
-        listens: bool = True, counters: Counters | None = None, most_waiting: int = INBOX,
-    ):  # fmt: skip
-        self.wire, self.me, self.table = wire, me, table or own()
-        self.listens = listens
-        self._log = log or (lambda text: warnings.warn(text, UllageWarning, stacklevel=2))
+        self, wire: Wire, me: Identity, table: Table, log: Log, counters: Counters, *, listens: bool = True
+    ) -> None:
+        self.wire, self.me, self.table, self.listens = wire, me, table, listens
+        self._log, self.counters = log, counters
         self.out = Outbox()
-        self.counters = counters or Counters(self._log)
-        self.events: Inbox[Packet] = Inbox(self.counters, most=most_waiting, received=False)
+        self.events: Inbox[Packet] = Inbox(counters, most=INBOX, received=False)
         self._ending = False
         self._reported: set[str] = set()
         self._error: BaseException | None = None
@@ -322,12 +208,43 @@ def memory_bytes(packet: Packet) -> int:
     return 500 + sum(len(value) for value in values if isinstance(value, (str, bytes)))
 
 
-def report_foreign_bytes(parser: Parser, where: str, log: Log, reported: set[str]) -> None:
-    """Log once that a peer speaks another version, or no IMC at all."""
-    if parser.strange > 1 and parser.version and "version" not in reported:
-        reported.add("version")
-        major, minor = parser.version
-        log(f"{where} speaks IMC {major}.{minor}; this port speaks 5.4")
-    elif parser.garbage > 4096 and "garbage" not in reported:
-        reported.add("garbage")
-        log(f"{where} sends bytes that are no IMC; they are passed over")
+Role = Literal["source", "sink", "vehicle"]
+_links: SharedLinks[Link] = SharedLinks()
+
+
+def open_link(place: str, options: LinkOptions, me: Identity, *, role: Role, log: Log) -> Link:
+    """Open a link to a place; `leave` closes it.
+
+    Args:
+        place: `tcp://host:port`, `udp://host:port`, or nothing.
+        options: options of the link; an open link keeps the options that it was opened with.
+        me: our identity.
+        role: a source and a sink share a link; a vehicle has its own, since it takes another address.
+        log: takes lines for the user.
+
+    Raises:
+        InputError: the place is not valid.
+    """
+    kind, host, port = where = endpoint(place)
+    key = (where, me.system_id, me.name, options.interface, options.port, options.xml)
+
+    def make_link() -> Link:
+        table, counters = options.table(), Counters(log)
+        wire = (
+            TcpWire((host, port), options, table, log, counters)
+            if kind == "tcp"
+            else UdpWire((host, port) if kind else None, me, options, table, log, counters)
+        )
+        return Link(wire, me, table, log, counters, listens=role != "sink")
+
+    if role == "vehicle":
+        return make_link()
+    link, joined = _links.get(key, role, make_link, usable=lambda link: not link.finished)
+    if joined:
+        link.join(me, listens=role == "source")
+    return link
+
+
+def leave(link: Link, role: Role) -> None:
+    """Close the link, unless the other role still uses it."""
+    _links.leave(link, role)

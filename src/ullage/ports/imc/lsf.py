@@ -15,12 +15,11 @@ from ullage.files import write_whole
 from ullage.grids import OccupancyMap
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, Parser, encode, make
-from ullage.ports.imc.definition import to_xml
-from ullage.ports.imc.encode import BODY, MessageEncoder
+from ullage.ports.imc.frames import BODY, MessageEncoder
 from ullage.ports.imc.link import Entity
 from ullage.ports.imc.options import LogOptions, LogSourceOptions, origin_of
 from ullage.ports.imc.source import pieces
-from ullage.ports.imc.table import from_xml, own
+from ullage.ports.imc.table import from_xml, own, to_xml
 from ullage.ports.intake import Counters, warn
 from ullage.ports.protocol import Item, one_or_all
 

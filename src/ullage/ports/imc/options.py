@@ -15,7 +15,7 @@ from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.geodetic import TRONDHEIM
 from ullage.ports.imc.table import Table, from_xml, own
 from ullage.ports.intake import LiveOptions
-from ullage.specs import RadarSpec, Rig, Spec
+from ullage.specs import Spec
 
 PLACE = re.compile(r"(?:(tcp|udp)://([^/:\s]+)(?::(\d+))?/?)?")
 PLACES = "tcp://HOST:PORT (7001), udp://HOST:PORT (6002), or nothing: whoever announces itself"
@@ -53,18 +53,7 @@ class PlaceOptions(LinkOptions):
         Raises:
             InputError: it is not two or three numbers within bounds.
         """
-        if not self.origin:
-            return None
-        try:
-            numbers = [float(part) for part in self.origin.split(",")]
-            lat, lon, height = (*numbers, 0.0)[:3] if len(numbers) in (2, 3) else ()
-        except ValueError:
-            raise InputError(f"origin is {self.origin!r}", where="imc", allowed="LAT,LON or LAT,LON,HEIGHT") from None
-        if not (abs(lat) <= 90 and abs(lon) <= 180 and abs(height) <= 1e5):
-            raise InputError(
-                f"origin is {self.origin!r}", where="imc", allowed="degrees, and metres over the ellipsoid"
-            )
-        return Geodetic.degrees(lat, lon, height)
+        return origin_of(self.origin)
 
     def entity_labels(self) -> dict[str, str]:
         """Label of each sensor that was given one."""
@@ -124,14 +113,6 @@ class SourceOptions(PlaceOptions, LiveOptions):
                 raise InputError("mission=world needs a world of the library", where="imc", allowed=", ".join(WORLDS))
             return [tuple(point[:3]) for point in WORLDS[self.world].path_xyzyaw]
         return [numbers_of(part, "mission", (3,)) for part in self.mission.split(";") if part.strip()]
-
-    def place_of_start(self) -> tuple[float, ...]:
-        """Return the place where the vehicle first hovers."""
-        return numbers_of(self.start, "start", (3, 4))
-
-    def radars(self) -> RadarSpec | Rig:
-        """The radars to simulate."""
-        return Rig.preset(self.rig)
 
 
 class MessageOptions(PlaceOptions):
@@ -195,7 +176,11 @@ def origin_of(text: str) -> Geodetic | None:
     """
     if not text:
         return None
-    lat, lon, height = (*numbers_of(text, "origin", (2, 3)), 0.0)[:3]
+    try:
+        numbers = [float(part) for part in text.split(",")]
+        lat, lon, height = (*numbers, 0.0)[:3] if len(numbers) in (2, 3) else ()
+    except ValueError:
+        raise InputError(f"origin is {text!r}", where="imc", allowed="LAT,LON or LAT,LON,HEIGHT") from None
     if not (abs(lat) <= 90 and abs(lon) <= 180 and abs(height) <= 1e5):
         raise InputError(f"origin is {text!r}", where="imc", allowed="degrees, and metres over the ellipsoid")
     return Geodetic.degrees(lat, lon, height)

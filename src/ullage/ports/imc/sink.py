@@ -6,11 +6,10 @@ import time
 from typing import Self
 
 from ullage.ports.imc.codec import readable
-from ullage.ports.imc.encode import BODY, MessageEncoder, TimedMessage
-from ullage.ports.imc.link import Entity, Identity, Link
+from ullage.ports.imc.frames import BODY, MessageEncoder, TimedMessage
+from ullage.ports.imc.link import Entity, Identity, Link, leave, open_link
 from ullage.ports.imc.options import SinkOptions
 from ullage.ports.imc.relay import Outgoing, RosToImc
-from ullage.ports.imc.shared_links import leave, open_link
 from ullage.ports.intake import Log, warn
 from ullage.ports.protocol import Item, Passed
 

@@ -15,13 +15,13 @@ from ullage.grids import OccupancyMap
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet
 from ullage.ports.imc.geodetic import TRONDHEIM, Pose
-from ullage.ports.imc.link import Entity, Identity, Link
-from ullage.ports.imc.options import SourceOptions, scene_path
+from ullage.ports.imc.link import Entity, Identity, Link, Role, leave, open_link
+from ullage.ports.imc.options import SourceOptions, numbers_of, scene_path
 from ullage.ports.imc.relay import passed
-from ullage.ports.imc.shared_links import Role, leave, open_link
 from ullage.ports.intake import Covered, Log, warn
 from ullage.ports.live import Address
 from ullage.ports.protocol import Passing, one_or_all
+from ullage.specs import Rig
 from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class ImcSource:
         self._seen: list[str] = []
         self._behind = self._stopping = False
         self.lag_s, self._limit_s, self._lost = options.lag_s, options.lag, 0
-        points, start = options.waypoints(), options.place_of_start()
+        points, start = options.waypoints(), numbers_of(options.start, "start", (3, 4))
         self._vehicle_s, self._frames_s = Covered(), Covered()
         if options.world:
             self._build()
@@ -77,7 +77,8 @@ class ImcSource:
         o = self._options
         self.scene = load_scene(scene_path(o.world))
         self._radars = LiveRadars(
-            self.scene, o.radars(), fidelity=o.fidelity, max_bounces=o.max_bounces, seed=o.seed, rate_hz=o.rate_hz
+            self.scene, Rig.preset(o.rig), fidelity=o.fidelity, max_bounces=o.max_bounces, seed=o.seed,
+            rate_hz=o.rate_hz,
         )  # fmt: skip
         self._seen = list(self._radars.sensors)
 

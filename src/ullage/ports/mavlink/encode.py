@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+import re
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ullage.arrays import Floats
-from ullage.geometry import rpy_quat
-from ullage.ports.mavlink.dialect import CUSTOM, mavlink, orientation_of
+from ullage.geometry import quat_matrix, rpy_quat
+from ullage.ports.mavlink.wire import mavlink
 from ullage.ports.ned import FLIP
 from ullage.processing.obstacles import ObstacleSectors
 
+CUSTOM = 100
+"""MAV_SENSOR_ROTATION_CUSTOM: the quaternion says how the sensor is mounted."""
 SECTORS, SECTOR_DEG = 72, 5
 UNKNOWN = 65535
 """UINT16_MAX: nothing is known of this sector."""
@@ -94,6 +98,29 @@ def distance_sensors(sectors: ObstacleSectors, time_ms: int) -> list[Any]:
     limits = limits_of(sectors)
     cm = centimetres(sectors.distance_m, limits)
     return [_distance_sensor(sectors, k, int(cm[k]), limits, time_ms) for k in range(len(sectors)) if sectors.valid[k]]
+
+
+@cache
+def rotations() -> dict[int, Floats]:
+    """Boresights (3), forward-right-down, by number of MAV_SENSOR_ROTATION; CUSTOM is left out."""
+    out = {}
+    for number, entry in mavlink().enums["MAV_SENSOR_ORIENTATION"].items():
+        if not entry.name.startswith("MAV_SENSOR_ROTATION") or number == CUSTOM:
+            continue
+        turns = dict(re.findall(r"(ROLL|PITCH|YAW)_(\d+)", entry.name))
+        roll, pitch, yaw = (math.radians(float(turns.get(name, 0))) for name in ("ROLL", "PITCH", "YAW"))
+        out[int(number)] = quat_matrix(rpy_quat(roll, pitch, yaw))[:, 0]
+    return out
+
+
+def orientation_of(boresight_frd: Floats, *, tolerance_deg: float = 1.0) -> int:
+    """The first MAV_SENSOR_ROTATION whose boresight is this one (3), forward-right-down; else CUSTOM.
+
+    A distance has no roll about the boresight, so the rotation with the lowest number stands for all.
+    """
+    least = math.cos(math.radians(tolerance_deg))
+    found = (number for number, axis in sorted(rotations().items()) if float(np.dot(axis, boresight_frd)) >= least)
+    return next(found, CUSTOM)
 
 
 def _distance_sensor(sectors: ObstacleSectors, k: int, cm: int, limits: Limits, time_ms: int) -> Any:

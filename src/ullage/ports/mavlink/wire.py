@@ -1,7 +1,8 @@
-"""Bytes to and from an autopilot, by UDP, TCP or a serial line."""
+"""Bytes to and from an autopilot, by UDP, TCP or a serial line, and the messages of MAVLink 2 in them."""
 
 from __future__ import annotations
 
+import importlib
 import ipaddress
 import select
 import socket
@@ -11,9 +12,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ullage.errors import InputError, need
-from ullage.ports.intake import Log
+from ullage.ports.intake import Counters, Log
 from ullage.ports.mavlink.options import LinkOptions, Place
 
+DIALECT = "pymavlink.dialects.v20.ardupilotmega"
+"""It holds the messages of `common`, which PX4 and ArduPilot share, and those that ArduPilot sends beside them."""
 Sender = tuple[str, int]
 """Where bytes came from: address and port, or the serial device."""
 MOST_SENDERS = 8
@@ -24,6 +27,60 @@ DATAGRAMS = 256
 REOPEN_S = 1.0
 CONNECT_S = 2.0
 """A peer that takes no packet of a connection for so long is gone [s]."""
+
+
+def mavlink() -> Any:
+    """The dialect's module.
+
+    Raises:
+        MissingExtra: pymavlink is not installed.
+    """
+    need("pymavlink", extra="mavlink")
+    return importlib.import_module(DIALECT)
+
+
+class Decoder:
+    """Turns the bytes of one sender into messages; those that cannot be read are counted.
+
+    Args:
+        counters: count damaged packets and unknown messages.
+        topic: the sender, for the counts.
+    """
+
+    def __init__(self, counters: Counters, topic: str) -> None:
+        self._counters, self._topic = counters, topic
+        self._parser = mavlink().MAVLink(None)
+        self._parser.robust_parsing = True
+
+    def feed(self, data: bytes) -> list[Any]:
+        """Messages that are complete with these bytes."""
+        out, start = [], 0
+        while start < len(data):
+            # no more than the parser asks for, so that it never holds more than one packet
+            end = start + self._parser.bytes_needed()
+            try:
+                message = self._parser.parse_char(data[start:end])
+            except Exception as error:  # bytes of a stranger: whatever they do to the parser, the rest goes on
+                self._bad(str(error) or type(error).__name__)
+                message = None
+            start = end
+            if message is not None and self._readable(message):
+                out.append(message)
+        return out
+
+    def _readable(self, message: Any) -> bool:
+        kind = message.get_type()
+        if kind == "BAD_DATA":
+            cause = "wrong checksum, or a message of another dialect" if "CRC" in message.reason else message.reason
+            self._bad(cause)
+        elif kind.startswith("UNKNOWN"):
+            self._bad(f"message {kind.removeprefix('UNKNOWN_')} is not of this dialect")
+        else:
+            return True
+        return False
+
+    def _bad(self, cause: str) -> None:
+        self._counters.drop(self._topic, "bad", cause)
 
 
 class Wire(Protocol):
