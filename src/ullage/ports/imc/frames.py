@@ -24,8 +24,8 @@ from ullage.ports import messages as ros
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import MOST, Message, make
 from ullage.ports.imc.geodetic import poses_along, state_of
-from ullage.ports.imc.link import Entity
 from ullage.ports.imc.options import MessageOptions
+from ullage.ports.imc.wires import Entity
 from ullage.ports.ned import FLIP
 from ullage.ports.protocol import Item
 from ullage.specs import MountSpec, RadarSpec

@@ -16,10 +16,10 @@ from ullage.grids import OccupancyMap
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, Parser, encode, make
 from ullage.ports.imc.frames import BODY, MessageEncoder
-from ullage.ports.imc.link import Entity
 from ullage.ports.imc.options import LogOptions, LogSourceOptions, origin_of
 from ullage.ports.imc.source import pieces
 from ullage.ports.imc.table import from_xml, own, to_xml
+from ullage.ports.imc.wires import Entity
 from ullage.ports.intake import Counters, warn
 from ullage.ports.protocol import Item, one_or_all
 

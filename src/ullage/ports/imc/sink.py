@@ -7,9 +7,10 @@ from typing import Self
 
 from ullage.ports.imc.codec import readable
 from ullage.ports.imc.frames import BODY, MessageEncoder, TimedMessage
-from ullage.ports.imc.link import Entity, Identity, Link, leave, open_link
+from ullage.ports.imc.link import Link, leave, open_link
 from ullage.ports.imc.options import SinkOptions
 from ullage.ports.imc.relay import Outgoing, RosToImc
+from ullage.ports.imc.wires import Entity, Identity
 from ullage.ports.intake import Log, warn
 from ullage.ports.protocol import Item, Passed
 

@@ -15,9 +15,10 @@ from ullage.grids import OccupancyMap
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet
 from ullage.ports.imc.geodetic import TRONDHEIM, Pose
-from ullage.ports.imc.link import Entity, Identity, Link, Role, leave, open_link
+from ullage.ports.imc.link import Link, Role, leave, open_link
 from ullage.ports.imc.options import SourceOptions, numbers_of, scene_path
 from ullage.ports.imc.relay import passed
+from ullage.ports.imc.wires import Entity, Identity
 from ullage.ports.intake import Covered, Log, warn
 from ullage.ports.live import Address
 from ullage.ports.protocol import Passing, one_or_all
