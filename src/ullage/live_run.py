@@ -24,6 +24,7 @@ import numpy as np
 
 from ullage.data import Frames, gathered
 from ullage.ports import encode
+from ullage.ports import schema as ros
 from ullage.ports.intake import Counters, Inbox, LiveOptions
 from ullage.ports.protocol import Passed
 from ullage.ports.publisher import is_present
@@ -347,7 +348,7 @@ class LiveLoop:
             ("obstacles: 99 % within [s]", f"{self._delays.within_s(0.99):.3f}"),
         ]
         data = encode.diagnostics_message(self._newest_ns, int(late), "ullage: run", text, values)
-        self._publish(Passed(self._newest_ns, "/diagnostics", encode.DIAGNOSTICS, data), first=True)
+        self._publish(Passed(self._newest_ns, "/diagnostics", ros.DIAGNOSTICS, data), first=True)
 
     def _end(self, thread: threading.Thread) -> None:
         """End the source where it has not ended by itself."""

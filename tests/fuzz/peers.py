@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 import ullage as ul
+from ullage.ports import schema as ros
 from ullage.ports.imc import codec
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.intake import Counters
@@ -233,23 +234,17 @@ def read_classic(path: Path) -> None:
     used(count)
 
 
+KINDS = (ros.FRAME, ros.SETTINGS, ros.CLOUD, ros.RANGE, ros.TRANSFORMS, ros.ODOMETRY)
+
+
 def ros2_reader(unrolled: Callable[[bytes], Iterator[tuple[str, str, bytes]]]) -> Callable[[Path], None]:
     """CDR messages as a live port takes them."""
 
     def read(path: Path) -> None:
         count, incoming = 0, Incoming(SourceOptions(), quiet)
-        takes = {
-            "RadarFrame": incoming.take_frame, "PointCloud2": incoming.take_profile, "Range": incoming.take_range,
-            "RadarSettings": incoming.take_settings,
-        }  # fmt: skip
         for kind, topic, data in unrolled(path.read_bytes()):
-            name = kind.rpartition("/")[2]
-            if name in takes:
-                incoming.take(topic, takes[name], topic, data)
-            elif name == "TFMessage":
-                incoming.take(topic, incoming.take_transforms, data)
-            elif name == "Odometry":
-                incoming.take(topic, incoming.take_odometry, data)
+            if kind in KINDS:
+                incoming.take(topic, incoming.taker(topic, kind), data)
             count += sum(map(len, incoming.ready(64).values()))
         incoming.finish()
         used(count + len(incoming.sensors))

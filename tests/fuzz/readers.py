@@ -201,7 +201,7 @@ BAGS = {
 def _db3(folder: Path) -> list[bytes]:
     from rosbags.rosbag2 import Writer
 
-    from ullage.ports import messages as ros
+    from ullage.ports import schema as ros
     from ullage.ports.publisher import Publisher
 
     out = []
@@ -415,7 +415,7 @@ TRACK_TOPICS = ("/fix", "/tf", "/vio")
 
 def _tracks_in_a_bag(_: Path) -> list[bytes]:
     """Fixes, transforms and poses with a stamp, as messages in a row."""
-    from ullage.ports import messages as ros
+    from ullage.ports import schema as ros
 
     turn = ros.make("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
     kinds = ("sensor_msgs/msg/NavSatFix", ros.TRANSFORMS, ros.POSE)

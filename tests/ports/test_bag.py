@@ -6,6 +6,7 @@ import struct
 import time
 import zlib
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +21,9 @@ from mcap.writer import Writer
 import ullage as ul
 from ullage.data import Calibration, joined
 from ullage.ports import conversions
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.chunks import chunk_records
-from ullage.ports.messages import topic_name
+from ullage.ports.schema import topic_name
 
 
 def record(path: Path, *items: object) -> Path:
@@ -32,48 +33,63 @@ def record(path: Path, *items: object) -> Path:
     return path
 
 
-@settings(deadline=None, max_examples=25)
+KINDS = ["a.mcap", "run", *(["a.zarr"] if find_spec("zarr") else [])]
+
+
+@settings(deadline=None, max_examples=40)
 @given(
-    n=st.integers(1, 30), bins=st.integers(8, 40), real=st.booleans(), chunk=st.integers(1, 40), known=st.integers(0, 3)
-)
+    kind=st.sampled_from(KINDS), n=st.integers(1, 30), bins=st.integers(8, 40), real=st.booleans(),
+    chunk=st.integers(1, 40), known=st.integers(0, 3),
+)  # fmt: skip
 def test_same_bits_back(
-    tmp_path_factory: pytest.TempPathFactory, n: int, bins: int, real: bool, chunk: int, known: int
+    tmp_path_factory: pytest.TempPathFactory, kind: str, n: int, bins: int, real: bool, chunk: int, known: int
 ) -> None:
-    path = tmp_path_factory.mktemp("bag") / "a.mcap"
     want = some_frames(n, bins=bins, real=real, sensor="Röntgen 1")
     want = replace(want, poses=want.poses if known & 1 else None, truth=want.truth if known & 2 else None)
-    record(path, *want.chunks(chunk))
+    path = record(tmp_path_factory.mktemp("bag") / kind, *want.chunks(chunk))
     got = ul.open(path).frames()
     assert isinstance(got, ul.Frames)
     assert_same(got, want)
 
 
-def test_track_and_calibration_survive(tmp_path: Path, frames: ul.Frames) -> None:
-    track = tumbling(np.arange(0, 10**9, 10**6), np.random.default_rng(3))
-    want = replace(frames, track=track, calibration=Calibration(4.44, 0.425, 1e-3, 2e-3, 9.5, "focus"))
-    got = ul.open(record(tmp_path / "a.mcap", want)).frames()
-    assert_same(got, want)
-
-
-def test_several_sensors_by_name(tmp_path: Path) -> None:
-    want = {name: some_frames(33, seed=k, sensor=name) for k, name in enumerate(("front", "left", "back"))}
-    source = ul.open(record(tmp_path / "a.mcap", want))
+@pytest.mark.parametrize("kind", KINDS)
+def test_sensors_settings_and_a_map_come_back(tmp_path: Path, kind: str) -> None:
+    want = {name: some_frames(300, seed=k, sensor=name) for k, name in enumerate(("back", "front", "left"))}
+    track = tumbling(np.arange(10**9, 2 * 10**9, 10**7), np.random.default_rng(3))
+    calibration = Calibration(4.44, 0.425, 1e-3, 2e-3, 9.5, "focus")
+    want["left"] = replace(want["left"], truth=None, track=track, calibration=calibration)
+    grid = ul.Grid((-1.0, -2.0, float("nan")), 0.1, (6, 5))
+    omap = ul.OccupancyMap(grid, np.random.default_rng(2).integers(-2, 101, (6, 5)).astype(np.int8), "elfes", 70, 20)
+    parts = [{name: frames[at : at + 70] for name, frames in want.items()} for at in range(0, 300, 70)]
+    path = record(tmp_path / kind, *parts, omap)
+    source = ul.open(path)
+    whole, pieces = source.frames(), list(source.stream(8))
     assert sorted(source.sensors) == sorted(want)
-    got = source.frames()
-    assert isinstance(got, dict)
+    assert isinstance(whole, dict)
+    assert max(len(frames) for piece in pieces for frames in piece.values()) <= 8
     for name, frames in want.items():
-        assert_same(got[name], frames)
+        assert_same(whole[name], frames)
         assert_same(source.frames(name), frames)
+        assert_same(joined([piece[name] for piece in pieces if name in piece]), frames)
     with pytest.raises(ul.InputError, match=r"no sensor 'up'.*front"):
         source.frames("up")
+    got = source.map()
+    assert got is not None
+    assert (got.grid.shape, got.grid.step_m, got.method) == ((6, 5), 0.1, "elfes")
+    assert (got.occupied_from, got.free_to) == (70, 20)
+    np.testing.assert_array_equal(got.percent, omap.percent)
 
 
-def test_stream_is_the_whole_in_pieces(tmp_path: Path) -> None:
-    want = {name: some_frames(50, seed=k, sensor=name) for k, name in enumerate(("front", "left"))}
-    parts = list(ul.open(record(tmp_path / "a.mcap", want)).stream(8))
-    assert max(len(f) for part in parts for f in part.values()) <= 8
-    for name, frames in want.items():
-        assert_same(joined([part[name] for part in parts if name in part]), frames)
+@pytest.mark.parametrize("kind", KINDS)
+def test_recordings_are_not_overwritten_unasked(tmp_path: Path, frames: ul.Frames, kind: str) -> None:
+    path = record(tmp_path / kind, frames)
+    with pytest.raises(ul.InputError, match="exists already"):
+        ul.sink(path)
+    with ul.sink(path, overwrite=True) as sink:
+        sink.write(frames[:5])
+    assert len(ul.open(path).frames()) == 5
+    with pytest.raises(ul.InputError, match="closed"):
+        sink.write(frames)
 
 
 def test_settings_that_change_are_kept_apart(tmp_path: Path, frames: ul.Frames) -> None:
@@ -166,15 +182,6 @@ def test_rosbags_reads_poses_where_we_put_them(tmp_path: Path) -> None:
     np.testing.assert_allclose(path.rates[0], body.rates[0], atol=1e-12)
 
 
-def test_last_map_comes_back(tmp_path: Path) -> None:
-    omap = ul.open(everything(tmp_path).parent).map()
-    assert omap is not None
-    assert omap.grid.shape == (6, 5)
-    assert (omap.method, omap.occupied_from, omap.free_to) == ("elfes", 70, 20)
-    want = np.random.default_rng(2).integers(-2, 101, (6, 5)).astype(np.int8)
-    np.testing.assert_array_equal(omap.percent, want)
-
-
 def test_maps_as_ros_has_them(tmp_path: Path) -> None:
     """-1 is the only unknown ROS knows; a grid from elsewhere comes back as a map."""
     grid = ul.Grid((-1.0, -2.0, 0.5), 0.1, (6, 5))
@@ -224,15 +231,6 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes, words: 
         ul.open(path).frames()
 
 
-def test_recordings_are_not_overwritten_unasked(tmp_path: Path, frames: ul.Frames) -> None:
-    path = record(tmp_path / "a.mcap", frames)
-    with pytest.raises(ul.InputError, match="exists already"):
-        ul.sink(path)
-    with ul.sink(path, overwrite=True) as sink:
-        sink.write(frames[:5])
-    assert len(ul.open(path).frames()) == 5
-
-
 def test_unwritable_places_are_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ul.InputError, match="cannot write"):
@@ -241,7 +239,7 @@ def test_unwritable_places_are_refused(tmp_path: Path) -> None:
 
 def test_a_damaged_message_costs_only_itself(tmp_path: Path, frames: ul.Frames) -> None:
     messages = conversions.frame_messages(frames, 0)
-    size = ros.frame_layout(b"front", b"front", 48).dtype.fields["believed"][1]  # type: ignore[index]
+    size = ros.layout(ros.FRAME, b"front", b"front", 48).dtype.fields["believed"][1]  # type: ignore[index]
     messages[7] = messages[7][: size + 24] + bytes(32) + messages[7][size + 56 :]  # a quaternion of length 0
     messages[20] = messages[20][:4] + (10**9).to_bytes(4, "little") + messages[20][8:]  # a stamp of another year
     path = tmp_path / "a.mcap"

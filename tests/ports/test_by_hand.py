@@ -14,7 +14,7 @@ from ullage.cli import main
 from ullage.errors import InputError
 from ullage.flight.live import Steered
 from ullage.flight.pilot import Pilot, PilotOptions, Velocity
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.by_hand import IMU_TOPIC, SONAR_TOPIC, FlyOptions, HandFlight, HandFlownSource, Sonar
 from ullage.ports.imu import ImuNoise
 from ullage.ports.intake import Counters

@@ -9,7 +9,7 @@ import pytest
 from scripted import Script
 
 import ullage as ul
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.cosimulation import (
     CosimulationOptions,
     CosimulationSource,

@@ -17,8 +17,8 @@ from rosbags.highlevel import AnyReader
 
 import ullage as ul
 from ullage.grids import AMBIGUOUS, MappedSurface
-from ullage.ports import messages as ros
 from ullage.ports import read_map, write_map
+from ullage.ports import schema as ros
 
 tools = pytest.mark.skipif(shutil.which("compare_octrees") is None, reason="octomap-tools are not installed")
 

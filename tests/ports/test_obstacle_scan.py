@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import ullage as ul
-from ullage.ports.messages import from_bytes
 from ullage.ports.publisher import Publisher
+from ullage.ports.schema import from_bytes
 from ullage.processing.obstacles import ObstacleStage
 
 

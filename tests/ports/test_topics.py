@@ -11,7 +11,7 @@ import pytest
 from conftest import some_frames
 
 import ullage as ul
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.protocol import Passed
 from ullage.ports.rate_limiter import LATE_S
 from ullage.ports.ros2.options import SinkOptions

@@ -15,7 +15,7 @@ from rosbags.rosbag2 import Writer
 import ullage as ul
 from ullage.errors import MissingExtra
 from ullage.geometry import rpy_quat
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 
 S = 1_000_000_000
 needs_pyulog = pytest.mark.skipif(importlib.util.find_spec("pyulog") is None, reason="pyulog is not installed")

@@ -10,7 +10,7 @@ from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.fan import drawn_rays, ray_area, ray_fan, ray_spacing_m, rays_for, reaching_max_range, smoothed, window
 from ullage.geometry import quat_matrix, rpy_quat
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.publisher import Publisher
 from ullage.radar.rays import echoes_thesis
 from ullage.radar.simulate import simulate

@@ -16,27 +16,21 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
-from typing import Any, Self
+from typing import Any
 
 from ullage.data import Detections, Frames, Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.files import write_whole
 from ullage.grids import Image, OccupancyMap
-from ullage.ports import messages as ros
-from ullage.ports.protocol import Item, Passed
-from ullage.ports.publisher import Message, Publisher, Quality, Role
+from ullage.ports import schema as ros
+from ullage.ports.protocol import Item, Passed, Sink
+from ullage.ports.publisher import Message, Publisher, Role
+from ullage.ports.schema import QUALITIES, Quality
 from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
 
 RECORDED = (Frames, Mapping, Trajectory, OccupancyMap, Detections, ObstacleSectors, Scene, Image, Passed)
 FLUSH_NS = 500_000_000
-QUALITIES: dict[Quality, tuple[int, str, str]] = {  # depth, reliability, durability of the live topics
-    "sensor": (5, "best_effort", "volatile"),
-    "stream": (50, "reliable", "volatile"),
-    "transforms": (100, "reliable", "volatile"),
-    "latched": (1, "reliable", "transient_local"),
-    "relayed": (1000, "reliable", "volatile"),
-}
 OFFERED = """\
 - history: keep_last
   depth: {}
@@ -101,7 +95,7 @@ class Topics:
         self.last_ns = max(self.last_ns, t_ns)
 
 
-class McapSink:
+class McapSink(Sink):
     """Write a recording as data arrive: the messages of `publisher.Publisher`, the same as on live topics.
 
     Args:
@@ -158,7 +152,9 @@ class McapSink:
             if kind not in self._schemas:
                 text = ros.schema_text(kind)
                 self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
-            offered = OFFERED.format(*QUALITIES[quality])
+            depth, reliable, kept = QUALITIES[quality]
+            sent = "reliable" if reliable else "best_effort"
+            offered = OFFERED.format(depth, sent, "transient_local" if kept else "volatile")
             about = {"offered_qos_profiles": offered, "topic_type_hash": ros.typestore().hash_rihs01(kind)}
             self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[kind], about)
             self._topics.kinds[topic], self._topics.offered[topic] = kind, offered
@@ -217,12 +213,6 @@ class McapSink:
             self._file = None
             if self.path.name == "frames.mcap":
                 write_metadata(self.path, self._topics)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def mcap_writer(stream: Any) -> Any:

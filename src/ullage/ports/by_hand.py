@@ -22,6 +22,7 @@ from ullage.flight.pilot import Pilot, PilotOptions
 from ullage.flight.vehicle import check_clear
 from ullage.geometry import quat_matrix
 from ullage.ports import encode
+from ullage.ports import schema as ros
 from ullage.ports.conversions import BODY
 from ullage.ports.cosimulation import BEHIND_S, PIECE_S, UnboundedSource
 from ullage.ports.imu import ImuNoise
@@ -254,10 +255,10 @@ class HandFlownSource(UnboundedSource):
             spin, force = self._imu.add(number, spin, force)
             variances = self._imu.rate_sigma**2, self._imu.force_sigma**2
         imu = encode.imu_message(t_ns, state.quat_xyzw, spin, force, frame_id=self._body, variances=variances)
-        yield Passed(t_ns, IMU_TOPIC, encode.IMU, imu)
+        yield Passed(t_ns, IMU_TOPIC, ros.IMU, imu)
         if (range_m := self._sonar.reading(state)) is not None:
             message = encode.range_message(t_ns, range_m, SONAR_M, SONAR_FOV_RAD, frame_id=self._body + "_sonar")
-            yield Passed(t_ns, SONAR_TOPIC, encode.RANGE, message)
+            yield Passed(t_ns, SONAR_TOPIC, ros.RANGE, message)
 
     def _warm_up(self) -> None:
         """Load and compile before the flight."""

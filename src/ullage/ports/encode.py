@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -11,21 +10,26 @@ from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Floats
 from ullage.data import Detections, Frames, Trajectory
+from ullage.fan import drawn_rays
 from ullage.geometry import matrix_quat
-from ullage.grids import AMBIGUOUS, UNKNOWN, Image, OccupancyMap
-from ullage.ports import conversions
-from ullage.ports import messages as ros
-from ullage.ports.conversions import WORLD
+from ullage.grids import Image, OccupancyMap
+from ullage.ports import schema as ros
+from ullage.ports.conversions import PROFILE, STRAIGHT, WORLD, cloud_messages, level_m
 from ullage.processing.obstacles import ObstacleSectors
+from ullage.world.scene import Scene
 
-RANGE = "sensor_msgs/msg/Range"
-SCAN = "sensor_msgs/msg/LaserScan"
 SCAN_DIRECTIONS = 72
-PICTURE = "sensor_msgs/msg/Image"
-PATH = "nav_msgs/msg/Path"
-CLOCK = "rosgraph_msgs/msg/Clock"
-DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
-IMU = "sensor_msgs/msg/Imu"
+MOST_TRIANGLES = 50_000
+TRIANGLES, LINES, CUBES = 11, 5, 6
+"""Kinds of a Marker."""
+ADD, DELETE, DELETE_ALL = 0, 2, 3
+"""Actions of a Marker."""
+PAINT = {
+    "steel": (0.55, 0.60, 0.68),
+    "pec": (0.55, 0.60, 0.68),
+    "concrete": (0.70, 0.68, 0.64),
+    "wood": (0.72, 0.54, 0.34),
+}
 CELL_COLOURS = {
     "free": (0.24, 0.86, 0.52, 0.22),
     "ambiguous": (0.95, 0.76, 0.31, 0.2),
@@ -44,15 +48,6 @@ DEPTH_DB = 40.0
 """What a picture shows below its brightest cell [dB]."""
 
 
-@lru_cache(64)
-def range_layout(frame_id: bytes) -> ros.Layout:
-    """Layout of Range."""
-    return ros.Layout(
-        *ros.HEADER, ("frame_id", frame_id), ("kind", "u1"), ("fov", "<f4"), ("min", "<f4"), ("max", "<f4"),
-        ("range", "<f4"), ("variance", "<f4"),
-    )  # fmt: skip
-
-
 def range_messages(frames: Frames, found: Detections, *, frame_id: str = "") -> list[bytes]:
     """Encode the nearest detection of each frame as Range; +inf: none (REP-117).
 
@@ -66,23 +61,18 @@ def range_messages(frames: Frames, found: Detections, *, frame_id: str = "") -> 
     nearest = np.full(len(frames), np.inf, np.float32)
     np.minimum.at(nearest, found.frame, found.range_m.astype(np.float32))
     step = float(frames.range_m[-1] - frames.range_m[0]) / max(len(frames.range_m) - 1, 1)
-    return range_layout((frame_id or frames.sensor).encode()).fill(
-        len(frames),
-        **ros.stamps(frames.t_ns),
-        fov=np.radians(frames.spec.thesis.fov_deg),
-        min=max(float(frames.range_m[0]), 0.0),
-        max=frames.range_m[-1],
-        range=nearest,
-        variance=step**2 / 12,
-    )
+    columns = {
+        "field_of_view": np.radians(frames.spec.thesis.fov_deg), "min_range": max(float(frames.range_m[0]), 0.0),
+        "max_range": frames.range_m[-1], "range": nearest, "variance": step**2 / 12,
+    }  # fmt: skip
+    return ros.layout(ros.RANGE, (frame_id or frames.sensor).encode()).fill(frames.t_ns, columns)
 
 
 def range_message(t_ns: int, range_m: float, limits_m: tuple[float, float], fov_rad: float, *, frame_id: str) -> bytes:
     """Encode one Range of another sensor, such as a sonar."""
     low, high = limits_m
-    return range_layout(frame_id.encode()).fill(
-        1, **ros.stamps(np.array([t_ns])), fov=fov_rad, min=low, max=high, range=range_m
-    )[0]
+    fields = {"field_of_view": fov_rad, "min_range": low, "max_range": high, "range": range_m}
+    return ros.encoded(ros.RANGE, fields, t_ns=t_ns, frame_id=frame_id)
 
 
 def scan_message(sectors: ObstacleSectors, *, frame_id: str) -> bytes:
@@ -92,22 +82,11 @@ def scan_message(sectors: ObstacleSectors, *, frame_id: str) -> bytes:
     sound = inside.any(1) & ~(inside & ~sectors.valid).any(1)
     near = np.roll(sectors.nearest_m(), SCAN_DIRECTIONS // 2)
     ranges = np.where(np.isfinite(near) | sound, near, np.nan).astype(np.float32)
-    low, high = float(np.max(sectors.least_m)), float(np.min(sectors.reach_m))
-    head = ros.header(max(sectors.t_ns, 0), frame_id)
-    step = 2 * np.pi / SCAN_DIRECTIONS
-    return ros.to_bytes(
-        SCAN, ros.make(SCAN, head, -np.pi, angles[-1], step, 0.0, 0.0, low, high, ranges, np.zeros(0, np.float32))
-    )
-
-
-@lru_cache(16)
-def imu_layout(frame_id: bytes) -> ros.Layout:
-    """Layout of Imu."""
-    return ros.Layout(
-        *ros.HEADER, ("frame_id", frame_id), ("orientation", ("<f8", 4)), ("orientation_covariance", ("<f8", 9)),
-        ("rate", ("<f8", 3)), ("rate_covariance", ("<f8", 9)), ("acceleration", ("<f8", 3)),
-        ("acceleration_covariance", ("<f8", 9)),
-    )  # fmt: skip
+    fields = {
+        "angle_min": -np.pi, "angle_max": angles[-1], "angle_increment": 2 * np.pi / SCAN_DIRECTIONS,
+        "range_min": float(np.max(sectors.least_m)), "range_max": float(np.min(sectors.reach_m)), "ranges": ranges,
+    }  # fmt: skip
+    return ros.encoded(ros.SCAN, fields, t_ns=sectors.t_ns, frame_id=frame_id)
 
 
 def imu_message(
@@ -124,53 +103,96 @@ def imu_message(
         frame_id: of the body.
         variances: of each axis of turn rate [rad2/s2] and acceleration [m2/s4].
     """
-    spread = {
-        f"{name}_covariance": np.diag([v] * 3).ravel()
-        for name, v in zip(("rate", "acceleration"), variances, strict=True)
-    }
-    return imu_layout(frame_id.encode()).fill(
-        1, **ros.stamps(np.array([t_ns])), orientation=quat_xyzw, rate=rate_rad_s, acceleration=acceleration_m_s2,
-        **spread,
-    )[0]  # fmt: skip
+    turning, pushing = (np.diag([v] * 3).ravel() for v in variances)
+    fields = {
+        "orientation": tuple(quat_xyzw), "angular_velocity": tuple(rate_rad_s), "angular_velocity_covariance": turning,
+        "linear_acceleration": tuple(acceleration_m_s2), "linear_acceleration_covariance": pushing,
+    }  # fmt: skip
+    return ros.encoded(ros.IMU, fields, t_ns=t_ns, frame_id=frame_id)
 
 
-def clock_message(t_ns: int) -> bytes:
-    """Encode a Clock message."""
-    sec, nanosec = divmod(t_ns, 1_000_000_000)
-    return b"\0\1\0\0" + sec.to_bytes(4, "little", signed=True) + nanosec.to_bytes(4, "little")
+def clock_messages(times_ns: Sequence[int]) -> list[bytes]:
+    """Encode a Clock message for each time."""
+    return ros.layout(ros.CLOCK).fill(np.array(times_ns))
 
 
 def fixed_message(t_ns: int, fixed: Mapping[tuple[str, str], Floats]) -> bytes:
     """Encode static transforms as TFMessage: (parent, child) to parent_from_child (4, 4)."""
-    listed = []
-    for (parent, child), matrix in fixed.items():
-        shift = ros.make("geometry_msgs/msg/Vector3", *matrix[:3, 3].tolist())
-        turn = ros.make("geometry_msgs/msg/Quaternion", *matrix_quat(matrix[:3, :3]).tolist())
-        move = ros.make("geometry_msgs/msg/Transform", shift, turn)
-        listed.append(ros.make("geometry_msgs/msg/TransformStamped", ros.header(t_ns, parent), child, move))
-    return ros.to_bytes(ros.TRANSFORMS, ros.make(ros.TRANSFORMS, listed))
+    listed = [
+        (ros.header(t_ns, parent), child, (tuple(matrix[:3, 3]), tuple(matrix_quat(matrix[:3, :3]))))
+        for (parent, child), matrix in fixed.items()
+    ]
+    return ros.encoded(ros.TRANSFORMS, {"transforms": listed})
 
 
 def path_message(path: Trajectory, frame_id: str = WORLD) -> bytes:
     """Encode a Path message."""
-    poses = []
-    for t_ns, place, turn in zip(path.t_ns.tolist(), path.position.tolist(), path.quat_xyzw.tolist(), strict=True):
-        at = ros.make("geometry_msgs/msg/Point", *place)
-        pose = ros.make("geometry_msgs/msg/Pose", at, ros.make("geometry_msgs/msg/Quaternion", *turn))
-        poses.append(ros.make(ros.POSE, ros.header(t_ns, frame_id), pose))
-    return ros.to_bytes(PATH, ros.make(PATH, ros.header(int(path.t_ns[-1]), frame_id), poses))
-
-
-def known_percent(omap: OccupancyMap) -> NDArray[np.int8]:
-    """Return a map's cells in ROS's percent; ambiguous cells are unknown."""
-    return np.where(omap.percent == AMBIGUOUS, UNKNOWN, omap.percent).astype(np.int8)
+    rows = zip(path.t_ns.tolist(), path.position.tolist(), path.quat_xyzw.tolist(), strict=True)
+    poses = [(ros.header(t_ns, frame_id), (tuple(place), tuple(turn))) for t_ns, place, turn in rows]
+    return ros.encoded(ros.PATH, {"poses": poses}, t_ns=int(path.t_ns[-1]), frame_id=frame_id)
 
 
 def update_message(t_ns: int, x: int, y: int, cells: NDArray[np.int8]) -> bytes:
     """Encode cells (rows, columns) that start at column x and row y as OccupancyGridUpdate."""
     rows, columns = cells.shape
-    values = (ros.header(t_ns, WORLD), x, y, columns, rows, np.ascontiguousarray(cells).ravel())
-    return ros.to_bytes(ros.UPDATE, ros.make(ros.UPDATE, *values))
+    fields = {"x": x, "y": y, "width": columns, "height": rows, "data": np.ascontiguousarray(cells).ravel()}
+    return ros.encoded(ros.UPDATE, fields, t_ns=t_ns, frame_id=WORLD)
+
+
+def occupied_message(omap: OccupancyMap, t_ns: int) -> bytes:
+    """Encode the occupied cells of a volume as PointCloud2."""
+    cells = np.argwhere(omap.occupied)
+    points = np.zeros((1, len(cells)), PROFILE)
+    for axis, centres, row in zip("zyx", (omap.grid.z_m, omap.grid.y_m, omap.grid.x_m), cells.T, strict=True):
+        points[axis] = centres[row]
+    points["intensity"] = omap.percent[omap.occupied]
+    return cloud_messages(np.array([t_ns]), points, frame_id=WORLD)[0]
+
+
+def marker(
+    t_ns: int, name: str, kind: int, points: Floats, size: tuple[float, float, float], colour: tuple[float, ...],
+    **others: Any,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the fields of a Marker in the world, its points (n, 3) [m], and one colour; `others` go before."""
+    return {
+        "header": ros.header(t_ns, WORLD), "ns": name, "type": kind, "pose": ((0.0, 0.0, 0.0), STRAIGHT),
+        "scale": size, "color": colour, "frame_locked": True, "points": points,
+    } | others  # fmt: skip
+
+
+def _markers(made: list[dict[str, Any]]) -> bytes:
+    return ros.encoded(ros.MARKERS, {"markers": made})
+
+
+def scene_message(scene: Scene, t_ns: int) -> bytes:
+    """Encode each object's triangles and wires as MarkerArray; only the largest triangles if there are too many."""
+    corners = scene.corners()
+    owner = scene.face_object
+    if len(corners) > MOST_TRIANGLES:
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        keep = np.sort(np.argsort(area)[-MOST_TRIANGLES:])
+        corners, owner = corners[keep], owner[keep]
+    lines = np.stack([scene.wires.start, scene.wires.end], axis=1)
+    made = []
+    for index, thing in enumerate(scene.objects):
+        mine = scene.wires.object_id == index
+        triangles, wires = corners[owner == index].reshape(-1, 3), lines[mine].reshape(-1, 3)
+        colour = (*PAINT.get(thing.material.name, (0.6, 0.6, 0.6)), 0.6)
+        if len(triangles):
+            made.append(marker(t_ns, thing.name, TRIANGLES, triangles, (1.0, 1.0, 1.0), colour, id=index))
+        if len(wires):
+            size = (2 * float(scene.wires.radius_m[mine].max()), 1.0, 1.0)
+            made.append(marker(t_ns, f"{thing.name} wires", LINES, wires, size, colour, id=index))
+    return _markers(made)
+
+
+def rays_message(frames: Frames, *, frame_id: str = "") -> bytes:
+    """Encode the ray model's fan as a MarkerArray of lines in the sensor's frame, which moves them."""
+    t_ns, ends = int(frames.t_ns[0]), drawn_rays(frames.spec)
+    lines = np.stack([np.zeros_like(ends), ends], axis=1).reshape(-1, 3)
+    head = ros.header(t_ns, frame_id or frames.sensor)
+    colour = (0.3, 0.5, 1.0, 0.25)
+    return _markers([marker(t_ns, f"rays {frames.sensor}", LINES, lines, (0.004, 1.0, 1.0), colour, header=head)])
 
 
 def cubes_message(omap: OccupancyMap, t_ns: int, *, most: int = 100_000) -> bytes:
@@ -181,13 +203,8 @@ def cubes_message(omap: OccupancyMap, t_ns: int, *, most: int = 100_000) -> byte
     places = np.stack([omap.grid.x_m[cells[:, 2]], omap.grid.y_m[cells[:, 1]], omap.grid.z_m[cells[:, 0]]], axis=1)
     share = cells[:, 0] / max(omap.grid.shape[0] - 1, 1)
     colours = np.stack([share, 0.4 + 0 * share, 1 - share, 1 + 0 * share], axis=1)
-    point, colour = (ros.typestore().types[name] for name in ("geometry_msgs/msg/Point", "std_msgs/msg/ColorRGBA"))
-    step = omap.grid.step_m
-    shown = conversions.marker(
-        t_ns, "map", 6, 0, [point(*p) for p in places.tolist()], (step, step, step), colour(0.5, 0.5, 0.5, 1.0),
-        [colour(*c) for c in colours.tolist()],
-    )  # fmt: skip
-    return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, [shown]))
+    size = (omap.grid.step_m,) * 3
+    return _markers([marker(t_ns, "map", CUBES, places, size, (0.5, 0.5, 0.5, 1.0), colors=colours)])
 
 
 def plane_message(omap: OccupancyMap, t_ns: int) -> bytes:
@@ -197,19 +214,16 @@ def plane_message(omap: OccupancyMap, t_ns: int) -> bytes:
     a name space of its own, so a viewer can hide it. An occupied cell is drawn two cells wide.
     """
     step = float(omap.grid.step_m)
-    z = omap.grid.origin_m[2] if np.isfinite(omap.grid.origin_m[2]) else 0.0
-    point, colour = (ros.typestore().types[name] for name in ("geometry_msgs/msg/Point", "std_msgs/msg/ColorRGBA"))
     made = []
-    for index, name in enumerate(("free", "ambiguous", "occupied")):
+    for index, (name, colour) in enumerate(CELL_COLOURS.items()):
         cells = getattr(omap, name)
         whole = name == "occupied"
-        places = _centres(omap, cells) if whole else _rectangles(cells, omap.grid.origin_m, step)
-        size = (2 * step, 2 * step, step) if whole else (1.0, 1.0, 1.0)
-        found = [point(x, y, z) for x, y in places.tolist()]
-        shown = conversions.marker(t_ns, name, 6 if whole else 11, index, found, size, colour(*CELL_COLOURS[name]))
-        shown.action = 0 if found else 2  # add, or delete
-        made.append(shown)
-    return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, made))
+        level = _centres(omap, cells) if whole else _rectangles(cells, omap.grid.origin_m, step)
+        places = np.insert(level, 2, level_m(omap), axis=1)
+        kind, size = (CUBES, (2 * step, 2 * step, step)) if whole else (TRIANGLES, (1.0, 1.0, 1.0))
+        action = ADD if len(places) else DELETE
+        made.append(marker(t_ns, name, kind, places, size, colour, id=index, action=action))
+    return _markers(made)
 
 
 def surfaces_message(omap: OccupancyMap, t_ns: int) -> bytes:
@@ -218,16 +232,14 @@ def surfaces_message(omap: OccupancyMap, t_ns: int) -> bytes:
     A surface is a marker with its number as id, in the name space of its kind. The first marker deletes those of the
     last message, since surfaces may be merged or dropped. Surfaces that are not on the map are left out, except slopes.
     """
-    z = omap.grid.origin_m[2] if np.isfinite(omap.grid.origin_m[2]) else 0.0
-    colour, step = ros.typestore().types["std_msgs/msg/ColorRGBA"], float(omap.grid.step_m)
-    made = [conversions.marker(t_ns, "", 5, 0, [], (step, 1.0, 1.0), colour(0.0, 0.0, 0.0, 0.0))]
-    made[0].action = 3  # delete all
+    step = float(omap.grid.step_m)
+    made = [marker(t_ns, "", LINES, np.zeros((0, 3)), (step, 1.0, 1.0), (0.0, 0.0, 0.0, 0.0), action=DELETE_ALL)]
     for number, one in enumerate(omap.surfaces):
         if one.on_map or one.kind == "slope":
-            places = conversions.points_of(one.lines(1.5 * step, z).reshape(-1, 3))
-            shade = colour(*SURFACE_COLOURS.get(one.kind, SURFACE_COLOURS["slope"]))
-            made.append(conversions.marker(t_ns, one.kind, 5, number, places, (0.5 * step, 1.0, 1.0), shade))
-    return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, made))
+            places = one.lines(1.5 * step, level_m(omap)).reshape(-1, 3)
+            colour = SURFACE_COLOURS.get(one.kind, SURFACE_COLOURS["slope"])
+            made.append(marker(t_ns, one.kind, LINES, places, (0.5 * step, 1.0, 1.0), colour, id=number))
+    return _markers(made)
 
 
 def _centres(omap: OccupancyMap, cells: Bools) -> Floats:
@@ -263,14 +275,17 @@ def picture_messages(image: Image, t_ns: int) -> tuple[bytes, bytes]:
 
 def _picture(pixels: NDArray[Any], encoding: str, t_ns: int) -> bytes:
     rows, columns = pixels.shape
-    head, step = ros.header(t_ns, WORLD), columns * pixels.dtype.itemsize
-    return ros.to_bytes(
-        PICTURE, ros.make(PICTURE, head, rows, columns, encoding, 0, step, pixels.view(np.uint8).ravel())
-    )
+    step = columns * pixels.dtype.itemsize
+    fields = {
+        "height": rows,
+        "width": columns,
+        "encoding": encoding,
+        "step": step,
+        "data": pixels.view(np.uint8).ravel(),
+    }
+    return ros.encoded(ros.PICTURE, fields, t_ns=t_ns, frame_id=WORLD)
 
 
 def diagnostics_message(t_ns: int, level: int, name: str, text: str, values: Sequence[tuple[str, str]]) -> bytes:
     """Encode one status as DiagnosticArray: level 0 OK, 1 warning, 2 error, 3 stale."""
-    pairs = [ros.make("diagnostic_msgs/msg/KeyValue", key, value) for key, value in values]
-    status = ros.make("diagnostic_msgs/msg/DiagnosticStatus", level, name, text, "ullage", pairs)
-    return ros.to_bytes(DIAGNOSTICS, ros.make(DIAGNOSTICS, ros.header(t_ns, ""), [status]))
+    return ros.encoded(ros.DIAGNOSTICS, {"status": [(level, name, text, "ullage", list(values))]}, t_ns=t_ns)

@@ -67,7 +67,7 @@ COARSEST = 8
 
 @runtime_checkable
 class Source(Protocol):
-    """Source of frames: an instrument, a simulation or a recording."""
+    """Source of frames: an instrument, a simulation or a recording. Those that inherit it know no path and no map."""
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -81,9 +81,11 @@ class Source(Protocol):
 
     def trajectory(self) -> Trajectory | None:
         """The path of the body, where it is known."""
+        return None
 
     def map(self) -> OccupancyMap | None:
         """The last map recorded, where there is one."""
+        return None
 
 
 @runtime_checkable
@@ -96,12 +98,14 @@ class Sink(Protocol):
     def close(self) -> None:
         """Finish; nothing can be written afterwards."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *error: object) -> None: ...
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
-class WholeSource:
+class WholeSource(Source):
     """A recording held in memory.
 
     Args:
@@ -134,10 +138,6 @@ class WholeSource:
     def trajectory(self) -> Trajectory | None:
         """The path of the body, where it is known."""
         return self._path
-
-    def map(self) -> OccupancyMap | None:
-        """None: these recordings hold no maps."""
-        return None
 
 
 def one_or_all(frames: dict[str, Frames], sensor: str | None) -> Frames | dict[str, Frames]:

@@ -18,17 +18,14 @@ from ullage.data import Detections, Frames, Trajectory, sensors_of, strung
 from ullage.geometry import invert
 from ullage.grids import Image, OccupancyMap
 from ullage.ports import conversions, encode
-from ullage.ports import messages as ros
 from ullage.ports.conversions import BODY, WORLD
-from ullage.ports.messages import topic_name
 from ullage.ports.protocol import Item, Passed
 from ullage.ports.rate_limiter import LEAP_S, STEP_BACK_S
+from ullage.ports.schema import TOPICS, Quality, topic_name
 from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
 
 ODOM = "odom"
-Quality = Literal["sensor", "stream", "transforms", "latched", "relayed"]
-"""How a topic is sent: best effort; reliable; reliable and deep; reliable and kept for late subscribers; deeper."""
 Role = Literal["believed", "truth"]
 PATH_STEP_M, PATH_POINTS = 0.05, 4000
 PATH_POINTS_PER_S = 100
@@ -45,6 +42,12 @@ class Message(NamedTuple):
     kind: str  # `package/msg/Name`
     quality: Quality
     data: bytes  # CDR
+
+
+def on(topic: str, t_ns: int, data: bytes, *, sensor: str = "") -> Message:
+    """Return a message on a topic of `TOPICS`, of a radar where it names one."""
+    kind, quality, _ = TOPICS[topic]
+    return Message(t_ns, topic.replace("NAME", topic_name(sensor)) if sensor else topic, kind, quality, data)
 
 
 def in_order(message: Message) -> tuple[int, bool]:
@@ -94,7 +97,8 @@ class Clock:
             first = (last_ns - self._origin_ns) // self._step_ns + 1
             times = list(range(self._origin_ns + first * self._step_ns, t_ns, self._step_ns))
         self._last_ns = t_ns
-        return [Message(at, "/clock", encode.CLOCK, "stream", encode.clock_message(at)) for at in [*times, t_ns]]
+        times.append(t_ns)
+        return [on("/clock", at, data) for at, data in zip(times, encode.clock_messages(times), strict=True)]
 
 
 @dataclass
@@ -108,21 +112,21 @@ class MapChanges:
 
     def messages(self, omap: OccupancyMap, t_ns: int) -> Iterator[Message]:
         """Encode the full map or the box of changed cells; nothing if no cell changed."""
-        cells, before = encode.known_percent(omap), self.last
-        box = None if before is None or before.grid != omap.grid else changed(encode.known_percent(before), cells)
+        cells, before = conversions.known_percent(omap), self.last
+        box = None if before is None or before.grid != omap.grid else changed(conversions.known_percent(before), cells)
         due = t_ns - self.sent_ns >= self.full_ns or t_ns < self.sent_ns or self.wanted
         self.last = omap
         if box is None or due or 2 * (box[1] - box[0]) * (box[3] - box[2]) > cells.size:
             self.sent_ns, self.wanted = t_ns, False
-            yield Message(t_ns, "map", ros.GRID, "latched", conversions.grid_message(omap, t_ns))
-            yield Message(t_ns, "map/cells", ros.CELLS, "latched", conversions.cells_message(omap, t_ns))
-            yield Message(t_ns, "map/plane", ros.MARKERS, "latched", encode.plane_message(omap, t_ns))
+            yield on("map", t_ns, conversions.grid_message(omap, t_ns))
+            yield on("map/cells", t_ns, conversions.cells_message(omap, t_ns))
+            yield on("map/plane", t_ns, encode.plane_message(omap, t_ns))
             if omap.surfaces:
-                yield Message(t_ns, "map/surfaces", ros.MARKERS, "latched", encode.surfaces_message(omap, t_ns))
+                yield on("map/surfaces", t_ns, encode.surfaces_message(omap, t_ns))
         elif box[1] > box[0]:
             y0, y1, x0, x1 = box
             update = encode.update_message(t_ns, x0, y0, cells[y0:y1, x0:x1])
-            yield Message(t_ns, "map_updates", ros.UPDATE, "stream", update)
+            yield on("map_updates", t_ns, update)
 
 
 def changed(before: NDArray[np.int8], now: NDArray[np.int8]) -> tuple[int, int, int, int]:
@@ -159,7 +163,7 @@ class PathFlown:
         due = self._sent_ns is None or abs(t_ns - self._sent_ns) >= wait_s * 1e9 or final
         if due and t_ns != self._sent_ns and self._points and (flown := strung(self._points)) is not None:
             self._sent_ns = t_ns
-            yield Message(t_ns, "path", encode.PATH, "latched", encode.path_message(flown))
+            yield on("path", t_ns, encode.path_message(flown))
 
 
 class Publisher:
@@ -232,7 +236,7 @@ class Publisher:
             out += self._whole_volume(self._volume, self._last_ns)
         if self._image is not None:
             exact = encode.picture_messages(self._image, self._last_ns)[1]
-            out.append(Message(self._last_ns, "image/amplitude", encode.PICTURE, "latched", exact))
+            out.append(on("image/amplitude", self._last_ns, exact))
         return [*out, *self._path.messages(self._last_ns, final=True)]
 
     def _begin(self, t_ns: int) -> list[Message]:
@@ -270,7 +274,7 @@ class Publisher:
         if self._begun and same:
             return
         self._fixed |= mounts
-        yield Message(t_ns, "/tf_static", ros.TRANSFORMS, "latched", encode.fixed_message(t_ns, self._fixed))
+        yield on("/tf_static", t_ns, encode.fixed_message(t_ns, self._fixed))
 
     def _of_radar(self, frames: Frames) -> Iterator[Message]:
         from ullage.processing.detect import detect
@@ -279,15 +283,15 @@ class Publisher:
         yield from self._settings_messages(frames, topic, frame_id)
         start = self.counts.get(topic, 0)
         self.counts[topic] = start + len(frames)
-        found = [
-            ("frame", ros.FRAME, conversions.frame_messages(frames, start, frame_id=frame_id)),
-            ("range", encode.RANGE, encode.range_messages(frames, detect(frames), frame_id=frame_id)),
-        ]
+        found = {
+            "frame": conversions.frame_messages(frames, start, frame_id=frame_id),
+            "range": encode.range_messages(frames, detect(frames), frame_id=frame_id),
+        }
         if self._profile:
-            found.append(("profile", ros.CLOUD, conversions.profile_messages(frames, frame_id=frame_id)))
-        for name, kind, messages in found:
+            found["profile"] = conversions.profile_messages(frames, frame_id=frame_id)
+        for name, messages in found.items():
             for t_ns, message in zip(frames.t_ns.tolist(), messages, strict=True):
-                yield Message(t_ns, f"{topic}/{name}", kind, "sensor", message)
+                yield on(f"radar/NAME/{name}", t_ns, message, sensor=frames.sensor)
 
     def _settings_messages(self, frames: Frames, topic: str, frame_id: str) -> Iterator[Message]:
         """Encode settings and track of a radar if they are new."""
@@ -295,24 +299,24 @@ class Publisher:
         before, t_ns = self._settings.get(topic, (None, None)), int(frames.t_ns[0])
         if before[0] != known:
             message = conversions.settings_message(frames, frame_id=frame_id)
-            yield Message(t_ns, f"{topic}/settings", ros.SETTINGS, "latched", message)
+            yield on("radar/NAME/settings", t_ns, message, sensor=frames.sensor)
             if self._rays:
-                drawn = conversions.rays_message(frames, frame_id=frame_id)
-                yield Message(t_ns, f"{topic}/rays", ros.MARKERS, "latched", drawn)
+                drawn = encode.rays_message(frames, frame_id=frame_id)
+                yield on("radar/NAME/rays", t_ns, drawn, sensor=frames.sensor)
         if frames.track is not None and before[1] is not frames.track:
             message = conversions.track_message(frames.track, frames.sensor, t_ns)
-            yield Message(t_ns, f"{topic}/track", ros.TRACK, "latched", message)
+            yield on("radar/NAME/track", t_ns, message, sensor=frames.sensor)
         self._settings[topic] = (known, frames.track)
 
     def _of_body(self, body: Trajectory, role: Role) -> Iterator[Message]:
         """Encode the body's odometry; for estimated poses also its transforms and path."""
         parent, topic = (self._odom, "odom") if role == "believed" else (WORLD, "truth/odom")
         for t_ns, message in _timed(body, conversions.odometry_messages(body, parent=parent, child=self._body)):
-            yield Message(t_ns, topic, ros.ODOMETRY, "stream", message)
+            yield on(topic, t_ns, message)
         if role != "believed":
             return
-        for t_ns, message in _timed(body, conversions.transform_messages({self._body: body}, parent=self._odom)):
-            yield Message(t_ns, "/tf", ros.TRANSFORMS, "transforms", message)
+        for t_ns, message in _timed(body, conversions.transform_messages(self._body, body, parent=self._odom)):
+            yield on("/tf", t_ns, message)
         self._path.add(body)
         yield from self._path.messages(int(body.t_ns[-1]))
 
@@ -323,24 +327,23 @@ class Publisher:
         elif isinstance(item, OccupancyMap):
             yield from self._volume_messages(item, t_ns)
         elif isinstance(item, Detections):
-            topic = f"radar/{topic_name(item.sensor)}/detections"
             for at, data in conversions.detection_messages(item):
-                yield Message(at, topic, ros.CLOUD, "sensor", data)
+                yield on("radar/NAME/detections", at, data, sensor=item.sensor)
         elif isinstance(item, ObstacleSectors):
-            yield Message(item.t_ns, "obstacles", encode.SCAN, "sensor", encode.scan_message(item, frame_id=self._body))
+            yield on("obstacles", item.t_ns, encode.scan_message(item, frame_id=self._body))
         elif isinstance(item, Scene):
-            yield Message(t_ns, "world", ros.MARKERS, "latched", conversions.scene_message(item, t_ns))
+            yield on("world", t_ns, encode.scene_message(item, t_ns))
         elif isinstance(item, Image):
             yield from self._image_messages(item, t_ns)
 
     def _image_messages(self, image: Image, t_ns: int) -> Iterator[Message]:
         """Encode the picture, and as often as full maps the amplitudes, which take four times the space."""
         grey, exact = encode.picture_messages(image, t_ns)
-        yield Message(t_ns, "image", encode.PICTURE, "latched", grey)
+        yield on("image", t_ns, grey)
         self._image = image
         if self._image_ns is None or abs(t_ns - self._image_ns) >= self.map_changes.full_ns:
             self._image, self._image_ns = None, t_ns
-            yield Message(t_ns, "image/amplitude", encode.PICTURE, "latched", exact)
+            yield on("image/amplitude", t_ns, exact)
 
     def _volume_messages(self, omap: OccupancyMap, t_ns: int) -> Iterator[Message]:
         """Encode a volume's occupied cells, and as often as full maps the lossless cells, cubes and surfaces."""
@@ -348,15 +351,15 @@ class Publisher:
         if self._volume_ns is None or abs(t_ns - self._volume_ns) >= self.map_changes.full_ns:
             yield from self._whole_volume(omap, t_ns)
         else:
-            yield Message(t_ns, "map/occupied", ros.CLOUD, "latched", conversions.occupied_message(omap, t_ns))
+            yield on("map/occupied", t_ns, encode.occupied_message(omap, t_ns))
 
     def _whole_volume(self, omap: OccupancyMap, t_ns: int) -> Iterator[Message]:
         self._volume_ns = t_ns
-        yield Message(t_ns, "map/occupied", ros.CLOUD, "latched", conversions.occupied_message(omap, t_ns))
-        yield Message(t_ns, "map/cubes", ros.MARKERS, "latched", encode.cubes_message(omap, t_ns))
-        yield Message(t_ns, "map/cells", ros.CELLS, "latched", conversions.cells_message(omap, t_ns))
+        yield on("map/occupied", t_ns, encode.occupied_message(omap, t_ns))
+        yield on("map/cubes", t_ns, encode.cubes_message(omap, t_ns))
+        yield on("map/cells", t_ns, conversions.cells_message(omap, t_ns))
         if omap.surfaces:
-            yield Message(t_ns, "map/surfaces", ros.MARKERS, "latched", encode.surfaces_message(omap, t_ns))
+            yield on("map/surfaces", t_ns, encode.surfaces_message(omap, t_ns))
 
 
 def body_path(frames: Frames, path: Trajectory) -> Trajectory:

@@ -10,6 +10,7 @@ from ullage.data import Frames
 from ullage.ports import encode
 from ullage.ports.intake import Counters
 from ullage.ports.protocol import Passed
+from ullage.ports.schema import DIAGNOSTICS
 from ullage.processing.health import HealthMonitor
 
 TOPIC = "/diagnostics"
@@ -75,9 +76,5 @@ class RadarStatus:
         self._most_behind_s = 0.0
         values += [("faulty radars", ", ".join(faults)), ("faults so far", "; ".join(self._health.lines()))]
         text = ", ".join([*faults, *causes]) or "simulating"
-        return Passed(
-            t_ns,
-            TOPIC,
-            encode.DIAGNOSTICS,
-            encode.diagnostics_message(t_ns, 2 if faults else int(bool(causes)), self._name, text, values),
-        )
+        data = encode.diagnostics_message(t_ns, 2 if faults else int(bool(causes)), self._name, text, values)
+        return Passed(t_ns, TOPIC, DIAGNOSTICS, data)

@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from ullage import plugins
 from ullage.errors import InputError, need, shown
@@ -273,7 +273,7 @@ def read_map(path: str | Path, **options: Any) -> OccupancyMap:
         return with_options(reader, Path(path), options)
 
 
-class MapSink:
+class MapSink(Sink):
     """Sink that keeps the last map in a file and ignores other items.
 
     Args:
@@ -291,12 +291,6 @@ class MapSink:
 
     def close(self) -> None:
         """Do nothing: the file is complete."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def with_options(make: Callable[..., Made], path: Path, options: dict[str, Any]) -> Made:

@@ -19,7 +19,7 @@ from ullage.data import Frames, Trajectory, gathered, joined
 from ullage.errors import DamageWarning, InputError, UllageWarning
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.intake import Clock, Counters, Stamped, Stream
 from ullage.ports.protocol import one_or_all
 

@@ -8,21 +8,21 @@ import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from ullage.data import Calibration, Frames, Trajectory, joined, sensors_of
+from ullage.data import Calibration, Frames, joined, sensors_of
 from ullage.errors import InputError, need
 from ullage.grids import Grid, OccupancyMap
 from ullage.ports import conversions
-from ullage.ports.protocol import Item, one_or_all
+from ullage.ports.protocol import Item, Sink, Source, one_or_all
 from ullage.untrusted import FREE_BYTES, check_unpacked
 
 ROWS = 256  # frames in a chunk
 
 
-class ZarrSink:
+class ZarrSink(Sink):
     """Writes a store under a temporary name; `close` puts it in place.
 
     Args:
@@ -116,14 +116,8 @@ class ZarrSink:
         except OSError as error:
             raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-
-class ZarrSource:
+class ZarrSource(Source):
     """Reads a store; streaming reads only the rows it hands out.
 
     Args:
@@ -195,10 +189,6 @@ class ZarrSource:
             )  # fmt: skip
         except (OSError, KeyError, ValueError, RuntimeError) as error:
             raise InputError(f"damaged: {error}", where=self.path) from None
-
-    def trajectory(self) -> Trajectory | None:
-        """None: stores hold the sensors' poses, with the frames."""
-        return None
 
     def map(self) -> OccupancyMap | None:
         """The map, where there is one."""

@@ -19,14 +19,13 @@ from test_imc_codec import PACKETS, messages_of, one_of_each
 import ullage as ul
 from imc_page import page
 from ullage.errors import InputError, UllageWarning
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.imc.broker import definition, main, of_raw, package_files, register, to_imc, to_raw, to_ros
 from ullage.ports.imc.codec import Message, Packet, decode, encode, make
 from ullage.ports.imc.interpreter import PAIRS, REASONS, imc_of, interpreted, rows_of
 from ullage.ports.imc.table import own
-from ullage.ports.messages import RAW
-from ullage.ports.plain import decoded, encoded
 from ullage.ports.protocol import Passed
+from ullage.ports.schema import RAW, decoded, encoded
 
 ROOT = Path(__file__).parents[3]
 

@@ -20,9 +20,8 @@ from ullage.ports.imc.codec import Message, Packet, encode, make
 from ullage.ports.imc.interpreter import PAIRS
 from ullage.ports.imc.relay import LOCAL, Outgoing, RosToImc, passed
 from ullage.ports.imc.table import own
-from ullage.ports.messages import RAW
-from ullage.ports.plain import decoded, encoded
 from ullage.ports.protocol import Passed, Passing
+from ullage.ports.schema import RAW, decoded, encoded
 
 VEHICLE, OURS = 0x0803, 0x9001
 PACKET = "imc/packet"

@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import ullage as ul
 from ullage.geometry import rpy_quat
 from ullage.ports import conversions, encode
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.publisher import Message, Publisher, body_path
 
 S = 1_000_000_000
@@ -66,22 +68,40 @@ def old(store: Any, value: Any) -> Any:
     return store.types[name](**made)
 
 
-def write_sqlite(path: Path, notes: list[Message]) -> Path:
-    from rosbags.rosbag2 import Writer
-
-    with Writer(path, version=9) as writer:
+def write_ros2(path: Path, notes: list[Message], storage: StoragePlugin) -> Path:
+    with Ros2Writer(path, version=9, storage_plugin=storage) as writer:
         connections: dict[str, Any] = {}
         for loaded in notes:
             if loaded.topic not in connections:
-                connections[loaded.topic] = writer.add_connection(
-                    "/" + loaded.topic.lstrip("/"), loaded.kind, typestore=ros.typestore()
-                )
+                topic = "/" + loaded.topic.lstrip("/")
+                connections[loaded.topic] = writer.add_connection(topic, loaded.kind, typestore=ros.typestore())
             writer.write(connections[loaded.topic], loaded.t_ns, loaded.data)
     return path
 
 
-@pytest.mark.parametrize("write", [write_ros1, write_sqlite])
-def test_frames_without_poses_get_those_of_the_transforms(tmp_path: Path, flight: ul.Frames, write: Any) -> None:
+def write(kind: str, folder: Path, notes: list[Message]) -> Path:
+    """A bag of another program: ROS 1's, rosbag2's in sqlite3, or rosbag2's in MCAP."""
+    if kind == "ros1":
+        return write_ros1(folder / "a.bag", notes)
+    return write_ros2(folder / "a", notes, StoragePlugin.SQLITE3 if kind == "sqlite" else StoragePlugin.MCAP)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite", "mcap"])
+@pytest.mark.parametrize("what", ["/range", "/profile"])
+def test_a_bag_of_others_has_the_poses_of_its_transforms(
+    tmp_path: Path, flight: ul.Frames, kind: str, what: str
+) -> None:
+    source = ul.open(write(kind, tmp_path, notes_of(flight, what, "/tf", "/tf_static")))
+    frames = source.frames()
+    assert isinstance(frames, ul.Frames)
+    assert np.array_equal(frames.t_ns, flight.t_ns)
+    assert frames.poses is not None
+    np.testing.assert_allclose(frames.poses.world_from_body, flight.poses.world_from_body, atol=1e-9)  # type: ignore[union-attr]
+    assert source.map() is None
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite"])
+def test_frames_without_poses_get_those_of_the_transforms(tmp_path: Path, flight: ul.Frames, kind: str) -> None:
     notes = notes_of(flight, "/frame", "/settings", "/tf", "/tf_static")
     bare = {
         loaded.t_ns: data
@@ -94,7 +114,7 @@ def test_frames_without_poses_get_those_of_the_transforms(tmp_path: Path, flight
         )
     }
     notes = [n._replace(data=bare[n.t_ns]) if n.topic.endswith("/frame") else n for n in notes]
-    source = ul.open(write(tmp_path / ("a.bag" if write is write_ros1 else "a"), notes))
+    source = ul.open(write(kind, tmp_path, notes))
     frames = source.frames()
     assert source.sensors == ("left",)
     assert isinstance(frames, ul.Frames)
@@ -127,38 +147,15 @@ def test_a_ros1_bag_of_ranges(tmp_path: Path, flight: ul.Frames) -> None:
 def test_a_range_outside_its_own_limits_is_no_echo(tmp_path: Path) -> None:
     ranges = [2.0, 4.0, 4.01, 40.0, 0.25, 0.2, 0.19, 0.0, -1.0, np.inf, -np.inf, np.nan]
     notes = [
-        Message(t, "/sonar", encode.RANGE, "sensor", encode.range_message(t, reach, (0.2, 4.0), 0.3, frame_id="sonar"))
+        Message(t, "/sonar", ros.RANGE, "sensor", encode.range_message(t, reach, (0.2, 4.0), 0.3, frame_id="sonar"))
         for t, reach in zip((S * np.arange(1, len(ranges) + 1)).tolist(), ranges, strict=True)
     ]
-    frames = ul.open(write_sqlite(tmp_path / "a", notes)).frames()
+    frames = ul.open(write("sqlite", tmp_path, notes)).frames()
     assert isinstance(frames, ul.Frames)
     peak = frames.range_m[np.argmax(frames.amplitude, axis=1)]
     met = frames.amplitude.max(axis=1) > 0
     assert met.tolist() == [0.2 <= reach <= 4.0 for reach in ranges]
     np.testing.assert_allclose(peak[met], np.array(ranges)[met], atol=0.03)
-
-
-def write_mcap(path: Path, notes: list[Message]) -> Path:
-    from rosbags.rosbag2 import StoragePlugin, Writer
-
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connections: dict[str, Any] = {}
-        for loaded in notes:
-            if loaded.topic not in connections:
-                topic = "/" + loaded.topic.lstrip("/")
-                connections[loaded.topic] = writer.add_connection(topic, loaded.kind, typestore=ros.typestore())
-            writer.write(connections[loaded.topic], loaded.t_ns, loaded.data)
-    return path
-
-
-@pytest.mark.parametrize("write", [write_mcap, write_sqlite, write_ros1])
-def test_a_bag_of_ranges_and_transforms_has_the_poses_of_the_radar(
-    tmp_path: Path, flight: ul.Frames, write: Any
-) -> None:
-    notes = notes_of(flight, "/range", "/tf", "/tf_static")
-    frames = ul.open(write(tmp_path / ("a.bag" if write is write_ros1 else "a"), notes)).frames()
-    assert np.array_equal(frames.t_ns, flight.t_ns)
-    np.testing.assert_allclose(frames.poses.position, flight.poses.position, atol=1e-9)
 
 
 @pytest.mark.parametrize(

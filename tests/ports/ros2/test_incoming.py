@@ -9,8 +9,8 @@ import ullage as ul
 from ullage.errors import InputError
 from ullage.geometry import rpy_quat
 from ullage.ports import conversions
-from ullage.ports import messages as ros
-from ullage.ports.encode import fixed_message, range_layout
+from ullage.ports import schema as ros
+from ullage.ports.encode import fixed_message
 from ullage.ports.publisher import Publisher, body_path, shifted
 from ullage.ports.ros2.incoming import SETTINGS_S, Incoming
 from ullage.ports.ros2.options import SourceOptions
@@ -47,11 +47,11 @@ def hear(into: Incoming, frames: ul.Frames, *, settings: bool = True) -> None:
 
 def posed(into: Incoming, frames: ul.Frames, *, every: int = 1, fixed: bool = True) -> None:
     body = body_path(frames, frames.poses)[np.arange(0, len(frames), every)]
-    for message in conversions.transform_messages({"base_link": body}):
-        into.take_transforms(message)
+    for message in conversions.transform_messages("base_link", body):
+        into.take_poses(ros.TRANSFORMS, message)
     if fixed:
         mount = {("base_link", "left"): frames.spec.mount.body_from_sensor()}
-        into.take_transforms(fixed_message(0, mount), fixed=True)
+        into.take_poses(ros.TRANSFORMS, fixed_message(0, mount), fixed=True)
 
 
 @pytest.mark.parametrize("fixed", [True, False])
@@ -105,7 +105,7 @@ def test_frames_without_settings_are_taken_for_an_x4m05_after_a_while(flight: ul
 def test_odometry_stands_in_for_transforms(flight: ul.Frames) -> None:
     into, said = incoming(poses="tf")
     for message in conversions.odometry_messages(body_path(flight, flight.poses), parent="odom"):
-        into.take_odometry(message)
+        into.take_poses(ros.ODOMETRY, message)
     hear(into, flight)
     frames = into.ready()["left"]
     np.testing.assert_allclose(frames.poses.position, flight.poses.position, atol=1e-9)
@@ -125,8 +125,8 @@ def test_a_profile_of_points_gives_the_same_ranges(flight: ul.Frames) -> None:
 def test_a_range_becomes_one_echo_there(flight: ul.Frames) -> None:
     into, _ = incoming(poses="none")
     ranges = np.array([1.0, 2.345, np.inf, 4.0])
-    layout = range_layout(b"left")
-    for message in layout.fill(4, sec=np.arange(4), min=0.1, max=6.0, range=ranges):
+    layout = ros.layout(ros.RANGE, b"left")
+    for message in layout.fill(S * np.arange(4), {"min_range": 0.1, "max_range": 6.0, "range": ranges}):
         into.take_range("/sonar/range", message)
     frames = into.ready()["sonar"]
     found = ul.detect(frames)
@@ -158,26 +158,26 @@ def test_frames_that_overtook_each_other_are_left_out(flight: ul.Frames) -> None
 
 def test_a_broken_transform_changes_nothing() -> None:
     into, _ = incoming()
-    into.take_transforms(fixed_message(0, {("map", "b"): np.eye(4)}))
+    into.take_poses(ros.TRANSFORMS, fixed_message(0, {("map", "b"): np.eye(4)}))
     record = bytearray(fixed_message(0, {("map", "b"): np.eye(4)}))
     record[-32:] = np.full(4, np.nan).tobytes()
-    into.take_transforms(bytes(record))
+    into.take_poses(ros.TRANSFORMS, bytes(record))
     assert into.counters.dropped("bad") == 1
 
 
 def test_a_cloud_without_intensity_is_refused(flight: ul.Frames) -> None:
     into, _ = incoming()
-    message = ros.cloud_layout(b"left", (("x", "float32"), ("y", "float32"), ("z", "float32")), 9)
-    columns = ros.cloud_columns((("x", "float32"), ("y", "float32"), ("z", "float32")), 9)
+    points = np.zeros((1, 9), [(axis, "<f4") for axis in "xyz"])
+    message = conversions.cloud_messages(np.zeros(1, np.int64), points, frame_id="left")[0]
     with pytest.raises(InputError, match=r"without intensity.*x, y, z and intensity"):
-        into.take_profile("/p/profile", message.fill(1, **columns)[0])
+        into.take_profile("/p/profile", message)
 
 
 def test_what_goes_out_comes_in_again(flight: ul.Frames) -> None:
     into, _ = incoming(poses="tf")
     for message in Publisher().messages({"left": flight}):
         if message.topic in ("/tf", "/tf_static"):
-            into.take_transforms(message.data, fixed=message.topic == "/tf_static")
+            into.take_poses(ros.TRANSFORMS, message.data, fixed=message.topic == "/tf_static")
         elif message.topic.endswith("/settings"):
             into.take_settings("/" + message.topic, message.data)
         elif message.topic.endswith("/frame"):
@@ -189,14 +189,14 @@ def test_what_goes_out_comes_in_again(flight: ul.Frames) -> None:
 
 def broken(message: bytes, sensor: str, what: str) -> bytes:
     """A RadarFrame with a pose or samples that cannot be."""
-    layout = ros.frame_layout(sensor.encode(), sensor.encode(), 376)
+    layout = ros.layout(ros.FRAME, sensor.encode(), sensor.encode(), 376)
     record = np.frombuffer(bytearray(message), layout.dtype)
     if what == "quaternion":
         record["believed"][0, 3:7] = 0.3, 0, 0, 0
     elif what == "position":
         record["believed"][0, 0] = np.nan
     else:
-        record["count"] = 10**9
+        record["samples.count"] = 10**9
     return record.tobytes()
 
 
@@ -218,8 +218,8 @@ def test_bytes_that_are_no_message_are_counted(flight: ul.Frames, junk: bytes) -
     takers = (into.take_settings, into.take_frame, into.take_profile, into.take_range)
     for take in takers:
         into.take("/radar/left/frame", take, "/radar/left/frame", junk)
-    into.take("/tf", into.take_transforms, junk)
-    into.take("/odom", into.take_odometry, junk)
+    into.take("/tf", into.take_poses, ros.TRANSFORMS, junk)
+    into.take("/odom", into.take_poses, ros.ODOMETRY, junk)
     hear(into, flight)
     assert len(into.ready(1000)["left"]) == len(flight)
     assert into.counters.dropped("bad") >= len(takers)
@@ -228,19 +228,19 @@ def test_bytes_that_are_no_message_are_counted(flight: ul.Frames, junk: bytes) -
 def test_transforms_that_are_not_numbers_give_no_frozen_pose(flight: ul.Frames) -> None:
     into, _ = incoming(poses="tf", patience_s=60)
     body = body_path(flight, flight.poses)
-    layout = ros.transform_layout(b"odom", (b"base_link",))
+    layout = ros.layout(ros.TRANSFORMS, 1, b"odom", b"base_link")
     mount = {("base_link", "left"): flight.spec.mount.body_from_sensor()}
-    into.take_transforms(fixed_message(0, mount), fixed=True)
-    for message in conversions.transform_messages({"base_link": body}, parent="odom"):
+    into.take_poses(ros.TRANSFORMS, fixed_message(0, mount), fixed=True)
+    for message in conversions.transform_messages("base_link", body, parent="odom"):
         record = np.frombuffer(bytearray(message), layout.dtype)
-        record["pose0"][0, 0] = np.nan
-        into.take_transforms(record.tobytes())
+        record["transforms.0.transform"][0, 0] = np.nan
+        into.take_poses(ros.TRANSFORMS, record.tobytes())
     hear(into, flight)
     assert into.ready() == {}
     assert "nothing tells where base_link is" in into.waits_for
     assert into.counters.dropped("bad", topic="pose of base_link") == len(flight)
-    for message in conversions.transform_messages({"base_link": body}, parent="odom"):
-        into.take_transforms(message)
+    for message in conversions.transform_messages("base_link", body, parent="odom"):
+        into.take_poses(ros.TRANSFORMS, message)
     np.testing.assert_allclose(into.ready()["left"].poses.position, flight.poses.position, atol=1e-9)
 
 
@@ -277,8 +277,8 @@ def test_frames_that_never_came_are_counted_by_their_numbers(flight: ul.Frames) 
 def test_a_vehicle_with_a_prefix_is_found(flight: ul.Frames) -> None:
     into, _ = incoming(poses="tf", frame_prefix="drone2/")
     body = body_path(flight, flight.poses)
-    for message in conversions.transform_messages({"drone2/base_link": body}):
-        into.take_transforms(message)
+    for message in conversions.transform_messages("drone2/base_link", body):
+        into.take_poses(ros.TRANSFORMS, message)
     into.take_settings("/radar/left/settings", conversions.settings_message(flight))
     for message in conversions.frame_messages(flight, 0, frame_id="drone2/left"):
         into.take_frame("/radar/left/frame", message)

@@ -17,7 +17,7 @@ from ullage.data import Frames, Trajectory, joined
 from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.ports import conversions
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import Packet, readable
 from ullage.ports.imc.frames import carried, mount_of, profile_of

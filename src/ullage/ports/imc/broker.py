@@ -18,7 +18,7 @@ from typing import Any
 
 from ullage.errors import InputError, UllageError
 from ullage.ports import ament
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.imc.codec import Message, Packet, body, decode, encode
 from ullage.ports.imc.table import Field, Kind, Table, own
 
@@ -101,7 +101,7 @@ def _held(names: Iterable[str], table: Table) -> list[str]:
 
 @cache
 def register(name: str) -> str:
-    """Make the message of an IMC message, and those within it, known to `ports.messages`; its type's full name."""
+    """Make the message of an IMC message, and those within it, known to `ports.schema`; its type's full name."""
     from rosbags.typesys import get_types_from_msg
 
     kind, full = own().named(name), f"{PACKAGE}/msg/{name}"

@@ -20,7 +20,7 @@ from ullage.data import Frames, Trajectory
 from ullage.errors import UllageWarning
 from ullage.geometry import invert, matrix_quat, quat_rpy, transform
 from ullage.ports import conversions
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import MOST, Message, make
 from ullage.ports.imc.geodetic import poses_along, state_of

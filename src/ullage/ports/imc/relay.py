@@ -13,14 +13,14 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from ullage.errors import InputError
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.imc import broker
 from ullage.ports.imc.codec import NOBODY, Malformed, Message, Packet, encode
 from ullage.ports.imc.interpreter import PAIRS, Ros, imc_of, interpreted, rows_of
 from ullage.ports.imc.table import own
 from ullage.ports.intake import Log
-from ullage.ports.plain import decoded, encoded
 from ullage.ports.protocol import Passed
+from ullage.ports.schema import decoded, encoded
 
 FROM_IMC, TO_IMC, WANTED = "imc", "to_imc", "desired"
 PACKET = "packet"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
 from functools import partial, reduce
 from pathlib import Path
 from typing import Any
@@ -15,24 +16,18 @@ from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import DamageWarning, InputError, UllageWarning
 from ullage.geometry import matrix_quat
 from ullage.grids import OccupancyMap
-from ullage.ports import conversions, encode
-from ullage.ports import messages as ros
+from ullage.ports import conversions
+from ullage.ports import schema as ros
+from ullage.ports.conversions import Placement, stamp_ns
 from ullage.ports.protocol import one_or_all
 from ullage.ports.replay import McapSource
-from ullage.ports.ros2.incoming import Incoming, stamp_ns
+from ullage.ports.ros2.incoming import Incoming
 from ullage.ports.ros2.options import SourceOptions
 from ullage.ports.vehicle_logs import Pose, track_of_fixes, track_of_poses
 
 BATCH = 256
 """Messages between two looks at which frames have their poses."""
-FIX = "sensor_msgs/msg/NavSatFix"
-TRACKS = (
-    ros.TRANSFORMS,
-    ros.ODOMETRY,
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    FIX,
-)
+TRACKS = (*conversions.PLACING, ros.FIX)
 OLD_NAMES = {"tf/msg/tfMessage": ros.TRANSFORMS}
 
 
@@ -63,6 +58,8 @@ class Bag:
         """Give the messages of these topics as CDR, in order of their arrival."""
         with self._opened() as reader:
             chosen = [c for c in reader.connections if c.topic in topics]
+            if not chosen:
+                return  # the library takes no connections for all of them
             for connection, _, raw in reader.messages(connections=chosen):
                 if reader.is2:
                     yield connection.topic, bytes(raw)
@@ -83,7 +80,7 @@ class Bag:
             reader.open()
         except (AnyReaderError, OSError, ValueError) as error:
             raise InputError(f"not a bag: {error}", where=self.path) from None
-        return _Closing(reader)
+        return closing(reader)
 
 
 class McapBag(Bag):
@@ -131,7 +128,7 @@ class RosbagSource:
 
     def _wanted(self, topics: str) -> list[str]:
         """Return the topics of radars, by the option or by type."""
-        kinds = (ros.FRAME, ros.CLOUD, encode.RANGE)
+        kinds = (ros.FRAME, ros.CLOUD, ros.RANGE)
         if named := [name for name in topics.split(",") if name]:
             for name in named:
                 if self._kinds.get(name) not in kinds:
@@ -179,18 +176,11 @@ class RosbagSource:
 
     def _takers(self, into: Incoming) -> dict[str, Callable[[bytes], None]]:
         """Return the handler of each topic's messages."""
-        takes = {ros.FRAME: into.take_frame, ros.CLOUD: into.take_profile, encode.RANGE: into.take_range}
-        out: dict[str, Callable[[bytes], None]] = {}
-        for topic, kind in self._kinds.items():
-            if topic in self._radars:
-                out[topic] = partial(takes[kind], topic)
-            elif kind == ros.SETTINGS:
-                out[topic] = partial(into.take_settings, topic)
-            elif kind == ros.TRANSFORMS:
-                out[topic] = partial(into.take_transforms, fixed=topic.endswith("static"))
-            elif topic == self._odom:
-                out[topic] = into.take_odometry
-        return out
+        kinds = {topic: self._kinds[topic] for topic in self._radars}
+        kinds |= {topic: kind for topic, kind in self._kinds.items() if kind in (ros.SETTINGS, ros.TRANSFORMS)}
+        if self._odom:
+            kinds[self._odom] = ros.ODOMETRY
+        return {topic: into.taker(topic, kind, fixed=topic.endswith("static")) for topic, kind in kinds.items()}
 
     def trajectory(self) -> Trajectory | None:
         """Return the body's path if the bag has odometry."""
@@ -199,7 +189,7 @@ class RosbagSource:
 
     def map(self) -> OccupancyMap | None:
         """Return the last map of the bag, if any."""
-        grids = [topic for topic, kind in self._kinds.items() if kind == ros.GRID]
+        grids = {topic for topic, kind in self._kinds.items() if kind == ros.GRID}
         last = None
         for _, data in self._bag.messages(grids):
             last = data
@@ -224,7 +214,7 @@ def open_mcap(
     """
     source = McapSource(path)
     kinds = {} if topics or odom or source.has_frames() else source.topics()
-    if (topics or odom) or any(kind == encode.RANGE or name.endswith("/profile") for name, kind in kinds.items()):
+    if (topics or odom) or any(kind == ros.RANGE or name.endswith("/profile") for name, kind in kinds.items()):
         return RosbagSource(path, topics=topics, odom=odom, radar=radar, world=world, body=body)
     return source
 
@@ -250,48 +240,42 @@ def read_track(path: Path, *, topic: str = "", body: str = "base_link", datum: s
     topic = topic or moving[0]
     kind = bag.kinds[topic]
     wanted = [name for name in placed if bag.kinds[name] == ros.TRANSFORMS] if kind == ros.TRANSFORMS else [topic]
-    messages = _sound(kind, (data for _, data in bag.messages(wanted)), path)
-    if kind == ros.TRANSFORMS:
-        return along_transforms(messages, body, path)
-    if kind == FIX:
+    sound = partial(_sound, kind, messages=(data for _, data in bag.messages(wanted)), path=path)
+    if kind == ros.FIX:
+        messages = sound(decode=ros.from_bytes)
         rows = [(stamp_ns(m.header), m.latitude, m.longitude, m.altitude) for m in messages if m.status.status >= 0]
         return track_of_fixes(rows, datum, path)
-    return track_of_poses([(stamp_ns(m.header), *_pose(m.pose)) for m in messages], path)
+    placed_at = (found for several in sound(decode=conversions.placements_in) for found in several)
+    if kind == ros.TRANSFORMS:
+        return along_transforms(placed_at, body, path)
+    return track_of_poses([(one.t_ns, one.position, one.quat_xyzw) for one in placed_at], path)
 
 
-def _sound(kind: str, messages: Iterable[bytes], path: Path) -> Iterator[Any]:
+def _sound(
+    kind: str, *, messages: Iterable[bytes], decode: Callable[[str, bytes], Any], path: Path
+) -> Iterator[Any]:  # fmt: skip
     """Decode messages; those that cannot be read are left out, with a warning."""
     bad = 0
     for data in messages:
         try:
-            yield ros.from_bytes(kind, data)
+            yield decode(kind, data)
         except Exception:  # a stranger's bytes: the library's complaints are of every kind
             bad += 1
     if bad:
         warnings.warn(f"{path}: {bad} messages of the track cannot be read; left out", DamageWarning, stacklevel=3)
 
 
-def _pose(message: Any) -> tuple[list[float], list[float]]:
-    """Position and quaternion of a Pose, or of one with covariance."""
-    pose = getattr(message, "pose", message)
-    at, turn = pose.position, pose.orientation
-    return [at.x, at.y, at.z], [turn.x, turn.y, turn.z, turn.w]
-
-
-def along_transforms(messages: Iterable[Any], body: str, path: Path) -> Trajectory:
+def along_transforms(placed: Iterable[Placement], body: str, path: Path) -> Trajectory:
     """Return the track of a frame of reference in the root of its tree.
 
     Raises:
         InputError: nothing places it, or nothing moves.
     """
     edges: dict[str, tuple[str, list[Pose]]] = {}
-    for message in messages:
-        for one in message.transforms:
-            at, turn = one.transform.translation, one.transform.rotation
-            row = (stamp_ns(one.header), [at.x, at.y, at.z], [turn.x, turn.y, turn.z, turn.w])
-            parent, rows = edges.setdefault(one.child_frame_id.lstrip("/"), (one.header.frame_id.lstrip("/"), []))
-            if parent == one.header.frame_id.lstrip("/"):
-                rows.append(row)
+    for one in placed:
+        parent, rows = edges.setdefault(one.child.lstrip("/"), (one.parent.lstrip("/"), []))
+        if parent == one.parent.lstrip("/"):
+            rows.append((one.t_ns, one.position, one.quat_xyzw))
     chain: list[Trajectory] = []
     name, seen = body, set[str]()
     while name in edges and name not in seen:
@@ -327,16 +311,3 @@ def renewed(message: Any, kind: str) -> Any:
             value = [renewed(item, about[0][1]) for item in value]
         values.append(value)
     return ros.make(kind, *values)
-
-
-class _Closing:
-    """Context that closes an open reader at its end."""
-
-    def __init__(self, reader: Any) -> None:
-        self._reader = reader
-
-    def __enter__(self) -> Any:
-        return self._reader
-
-    def __exit__(self, *error: object) -> None:
-        self._reader.close()

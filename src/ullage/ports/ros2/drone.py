@@ -9,12 +9,11 @@ import numpy as np
 
 from ullage.flight.pilot import Velocity
 from ullage.geometry import rpy_quat
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
+from ullage.ports.conversions import stamp_ns
 from ullage.ports.drone import DroneOptions, DroneState, TopicDrone
 from ullage.ports.intake import Counters, Inbox
-from ullage.ports.plain import encoded
 from ullage.ports.publisher import Message
-from ullage.ports.ros2.incoming import stamp_ns
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions
 
@@ -60,7 +59,7 @@ class RosDrone(TopicDrone):
         """Command a velocity in the level frame of the heading."""
         forward, left, up, turn = velocity
         fields = {"linear": {"x": forward, "y": left, "z": up}, "angular": {"x": 0.0, "y": 0.0, "z": turn}}
-        self._send(self._cmd_vel, ros.TWIST, encoded(ros.TWIST, fields))
+        self._send(self._cmd_vel, ros.TWIST, ros.encoded(ros.TWIST, fields))
 
     def go_to(self, position: tuple[float, float, float], heading_rad: float) -> None:
         """Command a set-point in the world of the drone's odometry."""
@@ -70,7 +69,7 @@ class RosDrone(TopicDrone):
             "orientation": dict(zip("xyzw", map(float, quat), strict=True)),
         }
         self._send(
-            self._setpoint, ros.POSE, encoded(ros.POSE, {"pose": pose}, t_ns=time.time_ns(), frame_id=self._frame)
+            self._setpoint, ros.POSE, ros.encoded(ros.POSE, {"pose": pose}, t_ns=time.time_ns(), frame_id=self._frame)
         )
 
     def _send(self, topic: str, kind: str, data: bytes) -> None:

@@ -10,15 +10,13 @@ from pydantic import Field
 from ullage.errors import InputError
 from ullage.flight.pilot import HOVER, Pilot, Velocity
 from ullage.geometry import quat_rpy
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.by_hand import FlyOptions, HandFlownSource
 from ullage.ports.cosimulation import rig_of, world_of
 from ullage.ports.intake import Counters, Inbox, Log, checked_pose, warn
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions
 
-TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"
-JOY = "sensor_msgs/msg/Joy"
 SEARCH_S = 0.2
 """How often the graph is asked for topics that somebody has begun to publish [s]."""
 
@@ -70,10 +68,12 @@ class TopicControls:
         self._topics = {
             peer.resolved(name): kinds
             for name, kinds in (
-                (options.cmd_vel, (ros.TWIST, TWIST_STAMPED)), (options.pose, (ros.POSE,)), (options.joy, (JOY,)),
+                (options.cmd_vel, (ros.TWIST, ros.TWIST_STAMPED)),
+                (options.pose, (ros.POSE,)),
+                (options.joy, (ros.JOY,)),
             )
             if name
-        }  # fmt: skip
+        }
         self._subscribed: set[str] = set()
         self._searched_s = 0.0
         self._button_held = False
@@ -119,10 +119,10 @@ class TopicControls:
         """Pass one message to the pilot; return the error in it, or None."""
         if kind == ros.POSE:
             return self._go_to(message, pilot)
-        if kind == JOY:
+        if kind == ros.JOY:
             velocity = self._of_joystick(message)
         else:
-            twist = message.twist if kind == TWIST_STAMPED else message
+            twist = message.twist if kind == ros.TWIST_STAMPED else message
             velocity = Velocity(twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.z)
         return "" if velocity is None or pilot.command(velocity, now_s) else "not finite"
 

@@ -18,8 +18,8 @@ from ullage.data import Frames, Trajectory, joined
 from ullage.errors import InputError
 from ullage.geometry import C0, matrix_quat
 from ullage.ports import conversions
-from ullage.ports import messages as ros
-from ullage.ports.encode import RANGE, range_layout
+from ullage.ports import schema as ros
+from ullage.ports.conversions import CODES, PLACING, Placement, stamp_ns
 from ullage.ports.intake import (
     LATE_NS,
     Clock,
@@ -100,6 +100,22 @@ class Incoming:
         except Exception as error:  # a damaged message can raise any error in the decoders
             self.counters.drop(topic, "bad", _cause(error))
 
+    def taker(self, topic: str, kind: str, *, fixed: bool = False) -> Callable[[bytes], None]:
+        """Return the method that takes the messages of a topic; `fixed`: its transforms hold for ever.
+
+        Raises:
+            InputError: messages of this kind hold neither frames nor poses.
+        """
+        takers = {
+            ros.FRAME: self.take_frame, ros.SETTINGS: self.take_settings, ros.CLOUD: self.take_profile,
+            ros.RANGE: self.take_range,
+        }  # fmt: skip
+        if kind in takers:
+            return partial(takers[kind], topic)
+        if kind in PLACING:
+            return partial(self.take_poses, kind, fixed=fixed)
+        raise InputError(f"{topic} carries {kind}", where="topics", allowed=", ".join([*takers, *PLACING]))
+
     def _radar(self, topic: str) -> Radar:
         """Return the radar whose topics begin with this prefix."""
         base = topic.rpartition("/")[0]
@@ -151,8 +167,10 @@ class Incoming:
 
     def take_range(self, topic: str, data: bytes) -> None:
         """Take a Range message: one echo of the radar's own pulse at that range, or none."""
-        short = range_layout(conversions.text_in(data, 0).encode()).dtype.itemsize - len(data)
-        message = ros.from_bytes(RANGE, data + bytes(4 if 0 < short <= 4 else 0))  # ROS 1 and Humble have no variance
+        short = ros.layout(ros.RANGE, conversions.text_in(data, 0).encode()).dtype.itemsize - len(data)
+        message = ros.from_bytes(
+            ros.RANGE, data + bytes(4 if 0 < short <= 4 else 0)
+        )  # ROS 1 and Humble have no variance
         bins = np.arange(max(int(message.max_range / self._spec.bin_m) + 8, 16))
         range_m: Floats = np.asarray(self._spec.bin_m * bins, np.float64)
         width = C0 / 2 * self._spec.pulse_sigma_s
@@ -172,32 +190,21 @@ class Incoming:
         radar.frame_id = header.frame_id.lstrip("/")
         self._stamp(radar, t_ns, made)
 
-    def take_transforms(self, data: bytes, *, fixed: bool = False) -> None:
-        """Take a TFMessage."""
-        for message in ros.from_bytes(ros.TRANSFORMS, data).transforms:
-            at, turn = message.transform.translation, message.transform.rotation
-            self._place(message.header, message.child_frame_id, at, turn, fixed=fixed)
+    def take_poses(self, kind: str, data: bytes, *, fixed: bool = False) -> None:
+        """Take the poses in a message of one of `PLACING`; a pose that names no frame of reference is the body's."""
+        for found in conversions.placements_in(kind, data):
+            child = found.child if kind == ros.TRANSFORMS else found.child or self._body
+            self._place(child.lstrip("/"), found, fixed=fixed)
 
-    def take_odometry(self, data: bytes) -> None:
-        """Take an Odometry message."""
-        message = ros.from_bytes(ros.ODOMETRY, data)
-        pose = message.pose.pose
-        self._place(message.header, message.child_frame_id or self._body, pose.position, pose.orientation)
-
-    def take_pose(self, data: bytes) -> None:
-        """Take a PoseStamped of the body."""
-        message = ros.from_bytes(ros.POSE, data)
-        self._place(message.header, self._body, message.pose.position, message.pose.orientation)
-
-    def _place(self, header: Any, child: str, at: Any, turn: Any, *, fixed: bool = False) -> None:
-        child, parent = child.lstrip("/"), (header.frame_id or self._options.map).lstrip("/")
-        pose = checked_pose((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+    def _place(self, child: str, found: Placement, *, fixed: bool) -> None:
+        parent = (found.parent or self._options.map).lstrip("/")
+        pose = checked_pose(found.position, found.quat_xyzw)
         if isinstance(pose, str):
             self.counters.drop(f"pose of {child}", "bad", pose)
         elif fixed:
-            self.transforms.add(parent, child, stamp_ns(header), *pose, fixed=True)
+            self.transforms.add(parent, child, found.t_ns, *pose, fixed=True)
         else:
-            self._move(child, stamp_ns(header), (parent, *pose))
+            self._move(child, found.t_ns, (parent, *pose))
 
     def _move(self, child: str, t_ns: int, placed: tuple[str, Floats, Floats]) -> None:
         """Take the pose of a moving frame of reference."""
@@ -334,12 +341,8 @@ def alike(a: Frames, b: Frames) -> bool:
     )
 
 
-def stamp_ns(header: Any) -> int:
-    """Return the time of a header [ns]."""
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
-
-
-CODES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+FORMS = {code: np.dtype(name).str[1:] for name, code in CODES.items()}
+"""numpy's types of the numbers of a PointField, without their order of bytes."""
 
 
 def cloud_points(message: Any) -> np.ndarray:
@@ -349,7 +352,7 @@ def cloud_points(message: Any) -> np.ndarray:
         InputError: a field is missing.
     """
     order = ">" if message.is_bigendian else "<"
-    fields = {f.name: (f.offset, order + CODES[f.datatype]) for f in message.fields if f.datatype in CODES}
+    fields = {f.name: (f.offset, order + FORMS[f.datatype]) for f in message.fields if f.datatype in FORMS}
     if missing := [name for name in ("x", "y", "z", "intensity") if name not in fields]:
         raise InputError(f"a PointCloud2 without {missing[0]}", where="profile", allowed="x, y, z and intensity")
     dtype = np.dtype({

@@ -1,6 +1,6 @@
 """Publish and subscribe to messages as bytes through an rclpy node.
 
-`ports.messages` encodes and decodes CDR in microseconds. rclpy passes the bytes on and needs
+`ports.schema` encodes and decodes CDR in microseconds. rclpy passes the bytes on and needs
 only the type's support library. A missing one is reported once.
 """
 
@@ -16,17 +16,11 @@ from contextlib import suppress
 from typing import Any
 
 from ullage.errors import InputError, UllageWarning, need
-from ullage.ports.publisher import Message, Quality
+from ullage.ports.publisher import Message
 from ullage.ports.ros2.options import NodeOptions
 from ullage.ports.ros2.sharing import ONE_PUBLISHER, TRANSFORMS, Sharing
+from ullage.ports.schema import QUALITIES, Quality
 
-HOW = {
-    "sensor": (5, False, False),  # depth, reliable, kept: as rclcpp's SensorDataQoS
-    "stream": (50, True, False),
-    "transforms": (100, True, False),  # as tf2_ros' DynamicBroadcasterQoS
-    "latched": (1, True, True),  # as nav2's and map_server's maps, and tf2_ros' StaticBroadcasterQoS
-    "relayed": (1000, True, False),  # several messages belong together: none may be missing
-}
 TAKEN: set[str] = set()
 """Topics that something in this program listens to: what came in there must not go out there again."""
 OWN: Counter[str] = Counter()
@@ -39,7 +33,7 @@ def profile(quality: Quality, *, depth: int | None = None, reliable: bool | None
     """Return the rclpy QoSProfile of a quality."""
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-    usual, firm, kept = HOW[quality]
+    usual, firm, kept = QUALITIES[quality]
     firm = firm if reliable is None else reliable
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,

@@ -11,8 +11,9 @@ from contextlib import suppress
 from typing import Protocol
 
 from ullage.errors import UllageWarning
-from ullage.ports import messages as ros
-from ullage.ports.publisher import Message, Quality
+from ullage.ports import schema as ros
+from ullage.ports.publisher import Message
+from ullage.ports.schema import Quality
 
 ONE_PUBLISHER = {"/clock", "odom", "truth/odom"}
 """Topics that make sense from one node only."""

@@ -7,14 +7,13 @@ import threading
 import time
 import warnings
 from collections.abc import Mapping
-from typing import Self
 
 from ullage.data import Frames, sensors_of
 from ullage.errors import InputError, UllageWarning
 from ullage.ports import encode
-from ullage.ports import messages as ros
-from ullage.ports.protocol import Item
-from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_present
+from ullage.ports import schema as ros
+from ullage.ports.protocol import Item, Sink
+from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_present, on
 from ullage.ports.rate_limiter import LATE_S, RateLimiter, StampOrder
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import SinkOptions
@@ -28,7 +27,7 @@ STEP_S = 0.02
 """Longest sleep [s], so that closing does not wait."""
 
 
-class Ros2Sink:
+class Ros2Sink(Sink):
     """Publish all items of a stream at the pace of their stamps, from a separate thread.
 
     Messages leave in order of their stamps. Those of a chunk of frames wait until the results of the chunk, such
@@ -162,7 +161,7 @@ class Ros2Sink:
         values += [("faults so far", "; ".join(self._health.lines()))]
         level = 2 if faults else int(late >= LATE_S)
         data = encode.diagnostics_message(t_ns, level, f"{self._options.node}: sink", text, values)
-        self._peer.send(Message(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))
+        self._peer.send(on("/diagnostics", t_ns, data))
         self._sent, self._late_s, self._reported_s = 0, 0.0, now
 
     def close(self) -> None:
@@ -183,9 +182,3 @@ class Ros2Sink:
             self._peer.close()
         if self._error is not None:
             raise self._error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, Self
 
-from ullage.data import Frames, Trajectory, gathered
+from ullage.data import Frames, gathered
 from ullage.errors import InputError
 from ullage.ports import encode
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 from ullage.ports.intake import PATIENCE_S, Inbox, Log, warn
-from ullage.ports.protocol import Passed, Passing, one_or_all
-from ullage.ports.publisher import Message
+from ullage.ports.protocol import Passed, Passing, Source, one_or_all
+from ullage.ports.publisher import on
 from ullage.ports.ros2.incoming import Incoming
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import SourceOptions
@@ -27,7 +27,7 @@ RELAYED = ("imc/", "to_imc/", "desired/")
 """Beneath the namespace: what is passed on as it comes."""
 
 
-class Ros2Source:
+class Ros2Source(Source):
     """Source of frames from the radars on a ROS 2 network.
 
     Args:
@@ -58,11 +58,10 @@ class Ros2Source:
         self._last_ns = 0
         self._searched_s = self._reported_s = 0.0
         self._given_s = time.monotonic()
-        self._peer.listen("/tf", ros.TRANSFORMS, "transforms", self._taker("/tf", self._incoming.take_transforms))
-        fixed = partial(self._incoming.take_transforms, fixed=True)
-        self._peer.listen(
-            "/tf_static", ros.TRANSFORMS, "latched", self._taker("/tf_static", fixed, kept=True), depth=100
-        )
+        for topic, depth in (("/tf", None), ("/tf_static", 100)):
+            fixed = topic == "/tf_static"
+            taker = self._taker(topic, self._incoming.taker(topic, ros.TRANSFORMS, fixed=fixed), kept=fixed)
+            self._peer.listen(topic, ros.TRANSFORMS, ros.TOPICS[topic].quality, taker, depth=depth)
         self._peer.spin()
 
     @property
@@ -108,14 +107,6 @@ class Ros2Source:
         if not whole:
             raise InputError("no frames came", where="ros2:")
         return one_or_all(whole, sensor)
-
-    def trajectory(self) -> Trajectory | None:
-        """Return None: the path is not complete."""
-        return None
-
-    def map(self) -> None:
-        """Return None: this source receives frames only."""
-        return None
 
     def keep_up(self, lag_s: float) -> None:
         """From now on leave out what is later than this [s]."""
@@ -172,10 +163,11 @@ class Ros2Source:
         if odom in there and odom not in self._subscribed:
             self._subscribed.add(odom)
             self._peer.claim(odom)
-            takers = {ros.ODOMETRY: self._incoming.take_odometry, ros.POSE: self._incoming.take_pose}
-            if there[odom] not in takers:
-                raise InputError(f"{odom} carries {there[odom]}", where="odom", allowed=", ".join(takers))
-            self._peer.listen(odom, there[odom], "sensor", self._taker(odom, takers[there[odom]]), depth=200)
+            allowed = (ros.ODOMETRY, ros.POSE)
+            if there[odom] not in allowed:
+                raise InputError(f"{odom} carries {there[odom]}", where="odom", allowed=", ".join(allowed))
+            taker = self._taker(odom, self._incoming.taker(odom, there[odom]))
+            self._peer.listen(odom, there[odom], "sensor", taker, depth=200)
 
     def _pass(self, topic: str, kind: str, data: bytes) -> None:
         self._given_s = time.monotonic()
@@ -197,20 +189,15 @@ class Ros2Source:
         self._subscribed.add(topic)
         base = topic.rpartition("/")[0]
         self._peer.claim(*(f"{base}/{name}" for name in ("frame", "settings", "profile", "range")))
-        takers = {
-            ros.FRAME: self._incoming.take_frame,
-            ros.CLOUD: self._incoming.take_profile,
-            encode.RANGE: self._incoming.take_range,
-        }
-        if kind not in takers:
-            raise InputError(f"{topic} carries {kind}", where="topics", allowed=", ".join(takers))
+        allowed = (ros.FRAME, ros.CLOUD, ros.RANGE)
+        if kind not in allowed:
+            raise InputError(f"{topic} carries {kind}", where="topics", allowed=", ".join(allowed))
         if kind == ros.FRAME:
             settings = f"{base}/settings"
-            taker = self._taker(settings, self._incoming.take_settings, settings, kept=True)
+            taker = self._taker(settings, self._incoming.taker(settings, ros.SETTINGS), kept=True)
             self._peer.listen(settings, ros.SETTINGS, "latched", taker)
-        self._peer.listen(
-            topic, kind, "sensor", self._taker(topic, takers[kind], topic), depth=DEPTH, lost=partial(self._lost, topic)
-        )
+        taker = self._taker(topic, self._incoming.taker(topic, kind))
+        self._peer.listen(topic, kind, "sensor", taker, depth=DEPTH, lost=partial(self._lost, topic))
         self._log(f"listening to {topic}")
 
     def _lost(self, topic: str, count: int) -> None:
@@ -251,7 +238,7 @@ class Ros2Source:
         self._incoming.counters.report()
         t_ns = time.time_ns()
         data = encode.diagnostics_message(t_ns, level, f"{self._options.node}: source", text, values)
-        self._peer.send(Message(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))
+        self._peer.send(on("/diagnostics", t_ns, data))
 
     def _log_throttled(self, text: str) -> None:
         """Log a line, the same one at most once every few seconds."""

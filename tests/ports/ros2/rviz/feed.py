@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import rospy
 
-from ullage.ports import messages as ros
+from ullage.ports import schema as ros
 
 LATCHED = {"/map", "/world", "/path", "/map/plane", "/map/cubes", "/tf_static", "/image"}
 OLD = {"map_msgs/msg/OccupancyGridUpdate": "map_msgs"}
