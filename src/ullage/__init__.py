@@ -8,6 +8,8 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+from ullage.display import register_drawer
+
 __version__ = "0.2.0"
 
 _HOMES = {
@@ -53,6 +55,7 @@ _HOMES = {
     "dataset": "experiments.dataset",
 }
 _MODULES = {"scenes": "world.scenes", "metrics": "processing.metrics", "worlds": "worlds", "figures": "view.figures"}
+register_drawer("ullage.view.plots")
 
 __all__ = sorted([*_HOMES, *_MODULES])
 

@@ -10,8 +10,8 @@ from studies.thesis import flights
 from ullage.grids import Grid
 from ullage.processing.blocks import Blocks
 from ullage.processing.mapper_bows import own_share
+from ullage.processing.mapper_echoes import Traced
 from ullage.processing.mapper_looks import LOOK_SHARE, STEP_M, Listener, dense_looks, look_share
-from ullage.processing.mapper_tracks import Traced
 
 SIZE = (6.0, 5.0, 3.0)
 

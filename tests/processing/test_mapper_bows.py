@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ullage.processing.mapper_bows import Hollow, bow_of, hollow_of, lines_of
-from ullage.processing.mapper_tracks import Traced
+from ullage.processing.mapper_echoes import Traced
 
 UP = np.array([0.0, 0.0, 1.0])
 

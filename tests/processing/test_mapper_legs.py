@@ -10,10 +10,10 @@ import pytest
 from ullage.kernels.rolls import AHEAD, LEG, WIDE
 from ullage.processing import mapper_legs
 from ullage.processing.mapper_bows import Hollow, bow_of
+from ullage.processing.mapper_echoes import Traced
 from ullage.processing.mapper_hollows import Hollows, _by_place, _share_heard
 from ullage.processing.mapper_legs import Legs, bends_of, bowed_row, stretch_of
 from ullage.processing.mapper_rings import weigh
-from ullage.processing.mapper_tracks import Traced
 
 LEAST = float(np.cos(np.radians(50)))
 ABEAM = np.array([0.0, 1.0, 0.0])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.special import fresnel
 
+from ullage.processing.mapper_echoes import Traced
 from ullage.processing.mapper_legs import Legs
 from ullage.processing.mapper_loudness import facing_db, fallen, level_db, too_faint
-from ullage.processing.mapper_tracks import Traced
 
 AHEAD, LEAST = np.array([0.0, 1.0, 0.0]), float(np.cos(np.radians(50)))
 BORESIGHT_DBI, WAVE_M = 6.0, 0.041

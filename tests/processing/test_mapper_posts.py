@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ullage.kernels.rolls import AHEAD, COLUMNS, COSINE, LEG, NORMAL, PLACE, RANGE, TRACK, WIDE
+from ullage.processing.mapper_echoes import Foot, Traced
 from ullage.processing.mapper_legs import Legs
 from ullage.processing.mapper_posts import along_post, post_of
-from ullage.processing.mapper_tracks import Foot, Traced
 
 PLACES = np.array([0.3, -0.2])
 LEAST = 0.64

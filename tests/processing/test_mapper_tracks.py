@@ -11,9 +11,10 @@ from scipy.special import fresnel
 import ullage as ul
 from ullage.antenna import boresight_pattern
 from ullage.processing.inverse_sensor import least_cosine, mirror_m
+from ullage.processing.mapper_echoes import Traced
 from ullage.processing.mapper_looks import Heard, Look
 from ullage.processing.mapper_screens import BEYOND_M, SHADE_SLOPE, screens_of
-from ullage.processing.mapper_tracks import EchoTracks, Traced, normal_of, post_of
+from ullage.processing.mapper_tracks import EchoTracks, normal_of, post_of
 
 AHEAD = np.array([0.0, 1.0, 0.0])
 LEAST = float(np.cos(np.radians(40)))

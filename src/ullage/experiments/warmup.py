@@ -116,8 +116,8 @@ def _map(method: MapMethod) -> None:
 
 def _join_legs() -> None:
     """Run the kernels that a volume needs after several straight segments have detected a wall."""
+    from ullage.processing.mapper_echoes import Traced
     from ullage.processing.mapper_legs import LEAST_ECHOES, Legs
-    from ullage.processing.mapper_tracks import Traced
 
     legs, along, abeam = Legs(), np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
     for height in (0.0, 0.5, 1.0):

@@ -25,6 +25,7 @@ from ullage.processing.elfes import ElfesMapper
 from ullage.processing.inverse_sensor import heard_deg, loudest_wall_m, mirror_m, rim_mirror_m
 from ullage.processing.mapper_beyond import Zones, cell_of, without_behind, without_beyond
 from ullage.processing.mapper_door import in_order, plane_of, radius_of_vehicle
+from ullage.processing.mapper_echoes import Foot, Traced
 from ullage.processing.mapper_ends import without_ends
 from ullage.processing.mapper_folds import Fold, alike, is_hidden
 from ullage.processing.mapper_levels import RETURNING, LevelFinder
@@ -35,7 +36,7 @@ from ullage.processing.mapper_posts import along_post
 from ullage.processing.mapper_rims import LEAST_RIM, rim_along
 from ullage.processing.mapper_runs import EchoRuns, Run, edges_among, near
 from ullage.processing.mapper_show import without_cut_off
-from ullage.processing.mapper_tracks import EchoTracks, Foot, Traced
+from ullage.processing.mapper_tracks import EchoTracks
 from ullage.processing.mapper_turns import MOST_LOOKS, Stretch, Turns, bearings
 
 Weighed = tuple[Floats, Floats, Floats]

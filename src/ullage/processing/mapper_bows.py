@@ -10,14 +10,11 @@ by c, that adds n . c. One track tells the bow, not which way the line runs; all
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ullage.arrays import Bools, Floats, Longs
-
-if TYPE_CHECKING:
-    from ullage.processing.mapper_tracks import Traced
+from ullage.processing.mapper_echoes import Traced
 
 STRAIGHT = float(np.cos(np.radians(35.0)))
 LEAST_ECHOES, LEAST_LONG_M, LEAST_SCATTER_M, OFF_M, MOST_MORE = 8, 0.45, 0.003, 0.01, 0.3

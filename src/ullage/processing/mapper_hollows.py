@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ullage.arrays import Floats
 from ullage.kernels.rolls import AHEAD, LEG, PLACE, TRACK, TURNED, WIDE
 from ullage.processing.mapper_bows import Bow, Hollow, hollow_of, lines_of
+from ullage.processing.mapper_echoes import Traced
 from ullage.processing.mapper_loudness import too_faint
 from ullage.processing.mapper_rings import EDGE_BETTER, about, beam_odds, cone, is_edge, one_side, weigh
-
-if TYPE_CHECKING:
-    from ullage.processing.mapper_tracks import Traced
 
 Piece = tuple[Hollow, Floats, Floats]  # of a wall, the way (3) to where it was heard, and the place (3) there [m]
 

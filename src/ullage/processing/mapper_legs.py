@@ -12,7 +12,6 @@ well), is left open. So is one that a straight edge, whose distance is that to a
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,15 +33,13 @@ from ullage.kernels.rolls import (
 )  # fmt: skip
 from ullage.processing.mapper_barrels import barrel_of
 from ullage.processing.mapper_bows import Bow, Hollow, bow_of
+from ullage.processing.mapper_echoes import Traced
 from ullage.processing.mapper_hollows import Hollows, Piece
 from ullage.processing.mapper_loudness import too_faint
 from ullage.processing.mapper_posts import LEAST_LEGS as FEWEST_LEGS
 from ullage.processing.mapper_posts import UP, post_of
 from ullage.processing.mapper_rings import ROLLS, about, beam_odds, cone, is_edge, one_side, weigh
 from ullage.processing.mapper_shells import shell_of
-
-if TYPE_CHECKING:
-    from ullage.processing.mapper_tracks import Traced
 
 STRETCH_M, LEAST_ECHOES, SCATTER_M, LEAST_TRUST = 0.6, 8, 0.02, 0.4
 LEG_TURN = float(np.cos(np.radians(15.0)))

@@ -9,14 +9,11 @@ at 3 m.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ullage.arrays import Bools, Floats
-
-if TYPE_CHECKING:
-    from ullage.processing.mapper_tracks import Traced
+from ullage.processing.mapper_echoes import Traced
 
 FAINTEST_DB, FOCUS_DB = -24.0, 10.0  # between the faintest wall and the strongest edge; a focus is no sharper
 EDGE_DB, NEAR_ZONES = 6.0, 2.0  # at an edge under what is beside it; how far beside, so that other walls do not count

@@ -7,13 +7,12 @@ of a wall, is one of these. A straight leg alone hears it as it would a wall tha
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ullage.arrays import Floats
 from ullage.kernels.rolls import NORMAL, PLACE
 from ullage.processing.mapper_bows import Hollow
+from ullage.processing.mapper_echoes import Foot
 from ullage.processing.mapper_shells import (
     CLOSE_M,
     FITS_M,
@@ -27,9 +26,6 @@ from ullage.processing.mapper_shells import (
     circles_through,
     refined,
 )
-
-if TYPE_CHECKING:
-    from ullage.processing.mapper_tracks import Foot
 
 UP, ACROSS = np.array([0.0, 0.0, 1.0]), np.eye(2, 3)
 RADIUS_M = (-0.5, 0.05)

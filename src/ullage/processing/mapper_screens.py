@@ -6,15 +6,11 @@ far it goes on is not heard but held open: as far again as it is known, and wher
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ullage.arrays import Floats, Longs
 from ullage.processing.mapper_bows import bow_of, hollow_of
-
-if TYPE_CHECKING:
-    from ullage.processing.mapper_tracks import Traced
+from ullage.processing.mapper_echoes import Traced
 
 BEYOND_M, LEVEL_M, SHADE_SLOPE = 1.0, 12.0, 0.6
 FITS_M, FITS_COSINE, EXPLAINED = 0.04, 0.08, 3.0

@@ -18,6 +18,7 @@ from ullage.antenna import BoresightPattern, boresight_pattern
 from ullage.arrays import Floats
 from ullage.processing.inverse_sensor import least_cosine
 from ullage.processing.mapper_bows import own_share
+from ullage.processing.mapper_echoes import LEAST_RIM, Foot, Traced
 from ullage.processing.mapper_hollows import Piece
 from ullage.processing.mapper_legs import LEAST_ECHOES, STRETCH_M, Legs
 from ullage.processing.mapper_looks import Look, dense_looks
@@ -45,30 +46,8 @@ APART_SHARE = 0.4  # looks of one window share their frames: so much of what the
 TOLD_APART, SAME_WAY = 9.0, 0.28
 SAME_WALL, SAME_WALL_M, MOST_WALLS, SURE_FEET = 0.98, 0.12, 96, 15
 POST_BETTER, LEAST_SCATTER_M = 0.6, 0.004
-LEAST_RIM, MOST_RIM = 2.0, 4.0
+MOST_RIM = 4.0
 MOST_GONE = 32
-
-
-@dataclass(slots=True, eq=False)
-class Traced:
-    """One echo of one look."""
-
-    t_ns: int
-    position: Floats  # (3) of the sensor
-    track: Floats  # (3) unit vector along the way
-    range_m: float
-    cosine: float
-    height: float
-    sigma: float
-    trust: float
-    ahead: Floats = field(default_factory=lambda: np.zeros(3))  # (3) boresight
-    within: float = -1.0  # cosine to it below which no flat surface could be so loud
-    looks: float = 1.0  # of a dense flight that it stands for, by the metre flown
-    level_db: float = np.inf  # against a perfect mirror's before an antenna of 0 dBi, where that is known
-    laid: bool = False
-    way: Floats | None = None  # (3) to the wall it was told to come from
-    sensor: str = ""
-    pattern: BoresightPattern = field(default_factory=lambda: boresight_pattern(AntennaSpec()))  # of the sensor
 
 
 @dataclass(slots=True, eq=False)
@@ -316,23 +295,6 @@ class EchoTracks:
         """The feet of all that was followed to the last look."""
         last = [one for held in self._open.values() for one in held if one.normal is not None and not one.doubts]
         return [foot for one in last for foot in self._tell_passed(one, None)]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Foot:
-    """An echo whose direction is known."""
-
-    echo: Traced
-    way: Floats  # (3) unit vector to the surface
-    flat: bool  # a wall, not an edge or a pole
-    rim: float = LEAST_RIM  # Fresnel parameter out to which the surface goes on
-    radius_m: float = np.inf  # of a hollow wall [m]
-    post: Floats | None = None  # (3) unit vector along a post or edge that is told whole
-
-    @property
-    def at(self) -> Floats:
-        """Where it is (3) [m]."""
-        return np.asarray(self.echo.position + self.echo.range_m * self.way)
 
 
 def normal_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats | None:
