@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from ullage.config import Task
     from ullage.experiments.run import Report
     from ullage.experiments.sweep import Sweep
-    from ullage.radar.warmup import Compiling
 
 app = typer.Typer(
     name="ullage",
@@ -269,7 +268,7 @@ def run(
     for target in sinks:
         check_sink(target)
     rival = rival_scenario(source, compare, options=options) if compare is not None else None
-    under_way = warm_up(source, options, tasks)
+    warm_up(source, options, tasks)
     with progress_bar("getting ready", total=1.0) as bar:
         job = make_run(source, tasks=tasks, options=options, out=out, force=force, progress=bar, log=log, to=sinks)
     if rival is not None and compare is not None:
@@ -277,7 +276,7 @@ def run(
     recording = record(job)
     total = job.flown.duration_s if job.flown is not None and not job.live else None
     with progress_bar("receiving and mapping", total=total, unit="s of flight") as bar:
-        report = execute(job, sinks=[recording], progress=bar, on_lag=bar.on_lag, log=bar.log, under_way=under_way)
+        report = execute(job, sinks=[recording], progress=bar, on_lag=bar.on_lag, log=bar.log)
     _print_summary(report)
     if open_report:
         open_page(report.folder / "report.html")
@@ -310,15 +309,13 @@ def fly(
     from ullage.experiments.catalog import variant_name
     from ullage.experiments.runner import execute
     from ullage.experiments.source_resolution import flight_scenario, make_flight, record, tasks_of
-    from ullage.experiments.warmup import compile_kernels, compiled, parts_of
-    from ullage.view.progress import console, log, progress_bar
+    from ullage.experiments.warmup import parts_of
+    from ullage.view.progress import log, progress_bar
     from ullage.view.viewer_output import keep_serving
 
     scenario = flight_scenario(variant_name(target, law=law), tasks=tasks_of(do), options=option or [])
     parts = tuple({*parts_of(scenario), "hector"})
-    if not compiled(parts):
-        with console.status("compiling kernels (once after installation)"):
-            compile_kernels(parts)
+    compile_parts(parts)
     job = make_flight(scenario, by=by, duration_s=duration_s, out=out, log=log, to=to or [])
     recording = record(job)
     with progress_bar("flying", total=duration_s, unit="s of flight") as bar:
@@ -338,42 +335,32 @@ def repair(source: str) -> bool:
     return bool(done)
 
 
-def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = None) -> Compiling | None:
-    """Compile what a run of SOURCE cannot begin without if this is its first time; what goes on compiling."""
+def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = None) -> None:
+    """Compile what a run of SOURCE needs, if this is its first time."""
     from ullage.experiments.simulated import load_world
     from ullage.experiments.source_resolution import simulated_scenario
-    from ullage.experiments.warmup import NEEDED, ahead, begin, compiled, estimated_s, parts_of
+    from ullage.experiments.warmup import compiled, parts_of
     from ullage.ports.live import Address
     from ullage.radar.warmup import radar_parts
-    from ullage.view.progress import console, log
 
-    address, patient, work = Address.of(source), True, None
+    address = Address.of(source)
     if address and address.scheme.startswith("gazebo"):
         bounces = str(address.options.get("max_bounces", 1))
         fidelity = str(address.options.get("fidelity", "physical"))
-        parts = (*(part for part in radar_parts(fidelity, 1 if bounces == "1" else 3) if part in NEEDED), "likelihood")
-        patient = False  # a peer that goes on measuring is not kept waiting
-    elif (scenario := simulated_scenario(source, tasks=tasks, options=options)) is not None:
-        parts = parts_of(scenario)
-        if not compiled(parts):  # at least not all that any world may need
-            work = ahead()
-            try:
-                parts = parts_of(scenario, load_world(scenario.world))
-            except BaseException:
-                work.close()
-                raise
-    else:
-        return None
-    if compiled(parts):
-        if work is not None:
-            work.close()
-        return None
-    log(f"compiling kernels for {', '.join(parts)} (once after installation, about {estimated_s(parts):.0f} s)")
-    with console.status("compiling") as line:
-        work = begin(parts, log=lambda what: line.update(f"compiling {what}"), work=work)
-        if not patient:
-            work.wait_later()
-        return work
+        compile_parts((*radar_parts(fidelity, 1 if bounces == "1" else 3), "likelihood"))
+    elif (scenario := simulated_scenario(source, tasks=tasks, options=options)) and not compiled(parts_of(scenario)):
+        compile_parts(parts_of(scenario, load_world(scenario.world)))  # not all that any world may need
+
+
+def compile_parts(parts: Iterable[str] | None = None) -> None:
+    """Compile the kernels of these parts, or of all, and show what is being compiled."""
+    from ullage.experiments.warmup import compile_kernels, compiled
+    from ullage.view.progress import console, log
+
+    if not compiled(parts):
+        log("compiling kernels (once after installation)")
+        with console.status("compiling") as line:
+            compile_kernels(parts, log=lambda what: line.update(f"compiling {what}"))
 
 
 def _print_summary(report: Report) -> None:
@@ -635,14 +622,11 @@ def reproduce(
 
     Each is run both ways. Exit 1 when a bound is broken. Run again to go on after Ctrl-C.
     """
-    from ullage.experiments.warmup import compile_kernels, compiled
-    from ullage.view.progress import answer, console, log_report, progress_bar
+    from ullage.view.progress import answer, log_report, progress_bar
 
     run_all = study("thesis.reproduce").reproduce
     chosen = study("thesis.plan").wanted(quick, only or [])
-    if not compiled():
-        with console.status("compiling kernels (once after installation)"):
-            compile_kernels()
+    compile_parts()
     with progress_bar("reproducing", total=float(len(chosen))) as bar:
 
         def report_progress(done: int, text: str) -> None:
@@ -741,17 +725,14 @@ def dataset(
     """
     from ullage.errors import InputError
     from ullage.experiments import dataset as sets
-    from ullage.experiments.warmup import compile_kernels, compiled
     from ullage.radar.warmup import radar_parts
-    from ullage.view.progress import answer, console, log, progress_bar
+    from ullage.view.progress import answer, log, progress_bar
 
     if not all(word in ("1", "2", "3") for word in bounces.split(",")):
         raise InputError(f"cannot read {bounces!r}", where="--bounces", allowed="1 to 3, with commas between")
     drawn, where = [int(word) for word in bounces.split(",")], where_to_run(jobs, scheduler)
     parts = radar_parts("physical", max(drawn))
-    if not compiled(parts):
-        with console.status("compiling kernels (once after installation)"):
-            compile_kernels(parts)
+    compile_parts(parts)
     try:
         with progress_bar(f"{n} samples", total=float(n), unit="samples", rated=True) as bar:
 

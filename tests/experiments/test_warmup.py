@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import re
 import subprocess
@@ -14,25 +13,15 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.catalog import find_scenario
-from ullage.experiments.runner import execute
-from ullage.experiments.source_resolution import make_run
-from ullage.experiments.warmup import (
-    FOLDER,
-    JOBS,
-    NEEDED,
-    compile_kernels,
-    compiled,
-    parts_of,
-)
-from ullage.pipeline import sink
-from ullage.radar.warmup import Compiling, Job, estimated_s, radar_parts, shared, unswept
+from ullage.experiments.warmup import JOBS, compile_kernels, compiled, parts_of
+from ullage.kernels import loops
+from ullage.radar.warmup import Job, radar_parts, run_jobs
 from ullage.world.library import WORLDS
 
 
-@pytest.mark.parametrize("part", NEEDED)
-def test_every_part_names_kernels_that_are_there(part: str) -> None:
-    kernels = ((FOLDER / f"{stem}.py").read_text() for stem in NEEDED[part])
-    assert all("@loop(" in source or "@lean(" in source for source in kernels)
+def test_each_part_has_one_job() -> None:
+    assert len({job.part for job in JOBS}) == len(JOBS)
+    assert set(radar_parts("physical")) < {job.part for job in JOBS}
 
 
 def test_compiling_what_the_main_job_needs_leaves_nothing_to_compile() -> None:
@@ -77,9 +66,6 @@ def test_simulating_tells_that_it_compiles_once_and_where_numba_keeps_its_copies
     said = run()
     assert said.count("compiling kernels") == 1
     assert list(tmp_path.rglob("*.nbi"))
-    asked = "from ullage.kernels import compiled; print(compiled('rays'), compiled('track'))"
-    answer = subprocess.run([sys.executable, "-c", asked], env=settings, capture_output=True, text=True, check=True)
-    assert answer.stdout.split() == ["True", "False"]
     assert "compiling" not in run()
 
 
@@ -107,103 +93,45 @@ def test_a_world_needs_the_kernels_of_what_is_in_it() -> None:
     assert set(radar_parts("physical")) == everything
 
 
-def test_jobs_are_shared_evenly_and_what_needs_others_waits_in_this_process() -> None:
-    mine, others = shared(JOBS)
-    assert sorted(job.name for job in mine + others) == sorted(job.name for job in JOBS)
-    assert not any(job.needs for job in others)
-    place = {job.name: index for index, job in enumerate(JOBS)}
-    assert all(place[name] < place[job.name] for job in JOBS for name in job.needs)
-    for share in (mine, others):
-        assert [place[job.name] for job in share] == sorted(place[job.name] for job in share)
-    radar = [job for job in JOBS if job.part in ("physical", "bounces", "shapes", "conductors")]
-    one, other = (sum(job.seconds for job in share) for share in shared(radar))
-    assert abs(one - other) < 0.3 * (one + other)
+@pytest.mark.parametrize("module", ["ullage.no_such_module", "ullage.radar.warmup"])
+def test_what_the_other_process_cannot_do_is_done_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str
+) -> None:
+    monkeypatch.setattr(loops, "cache_folder", lambda: tmp_path)
+    done: list[str] = []
+    jobs = [Job(name, lambda name=name: done.append(name)) for name in "abcde"]  # that process knows none of them
+    loops.mark_compiled("b")
+    told: list[str] = []
+    run_jobs(jobs, module=module, log=told.append)
+    assert sorted(done) == ["a", "c", "d", "e"]
+    assert told[0].startswith("kernels for a")
+    assert loops.compiled("abcde")
 
 
-def test_garbage_is_left_while_compiling_and_collected_again_after_a_failure() -> None:
-    assert gc.isenabled()
-    seen: list[bool] = []
+def test_a_failure_while_compiling_is_raised_and_nothing_is_marked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loops, "cache_folder", lambda: tmp_path)
 
     def fail() -> None:
-        with unswept():
-            seen.append(gc.isenabled())
-            raise ValueError("failed")
+        raise ValueError("failed")
 
     with pytest.raises(ValueError, match="failed"):
-        fail()
-    assert seen == [False]
-    assert gc.isenabled()
-    gc.disable()
-    try:
-        with unswept():
-            pass
-        assert not gc.isenabled()  # that is for whoever turned it off
-    finally:
-        gc.enable()
-
-
-def test_what_the_other_process_leaves_undone_is_done_here() -> None:
-    done: list[str] = []
-    jobs = [Job(name, "", 3.0, lambda name=name: done.append(name)) for name in "abc"]
-    late = Job("d", "", 1.0, lambda: done.append("d"))
-    work = Compiling(jobs, [late], module="ullage.no_such_module", log=lambda what: None)
-    work.wait()
-    assert sorted(done) == ["a", "b", "c"]
-    work.wait_later()
-    work.wait_later()
-    assert sorted(done) == ["a", "b", "c", "d"]
-
-
-def test_compiling_announces_the_time_that_is_left() -> None:
-    said: list[str] = []
-    work = Compiling([Job(name, "", 4.0, lambda: None, needs=("x",)) for name in "abc"], log=said.append)
-    assert estimated_s(work.now) == 12
-    work.wait()
-    assert said[0] == "a, about 12 s left"
-    assert work.left_s == 0
-    assert said[-1] == "c"  # the first ones took no time, so nor will the last
-
-
-class _Watched(Compiling):
-    """Something under way that looks at the recording when it is waited for."""
-
-    def __init__(self, folder: Path) -> None:
-        super().__init__([], JOBS[-2:])
-        self.folder, self.closed, self.seen = folder, False, -1
-
-    def wait_later(self) -> None:
-        self.seen = sum(p.stat().st_size for p in self.folder.glob("*.mcap*")) + len(list(self.folder.glob(".*mcap*")))
-        raise KeyboardInterrupt
-
-    def close(self) -> None:
-        self.closed = True
-
-
-def test_ctrl_c_while_the_map_is_compiled_leaves_the_frames_received_by_then(tmp_path: Path) -> None:
-    options = ["sensing.fidelity=thesis", "flight.vehicle=ideal"]
-    job = make_run("ntnu-plate", tasks=("map", "image"), options=options, out=tmp_path)
-    work = _Watched(job.folder)
-    report = execute(job, sinks=[sink(str(job.folder / "frames.mcap"))], log=lambda text: None, draw=False,
-                     under_way=work)  # fmt: skip
-    assert report.outcome.interrupted
-    assert work.closed
-    assert work.seen > 0  # the recording had begun before the map was waited for
-    kept = ul.open(str(job.folder / "frames.mcap")).frames()
-    assert len(kept) == report.outcome.frames > 0
-    assert (job.folder / "metrics.json").is_file()
+        run_jobs([Job("a", fail)], module="ullage.no_such_module")
+    assert not loops.compiled("a")
 
 
 FRESH = """
 import ullage as ul
-from numba.core import event
+from ullage.kernels.loops import cache_folder
 from ullage.radar.warmup import warm_up
 from ullage.world.library import WORLDS
 hold = ul.load_scene(WORLDS["cargo-hold"].path)
 path = ul.Trajectory.line((-5.5, -7, 4), (-5.4, -7, 4), 0.5, 17)
 warm_up("physical", 3, hold)
-with event.install_recorder("numba:compile") as found:
-    ul.simulate(hold, path, ul.RadarSpec.preset("x4m05"), max_bounces=3)
-print(sorted({e.data["dispatcher"].py_func.__name__ for _, e in found.buffer}))
+before = set(cache_folder().rglob("*.nbc"))
+ul.simulate(hold, path, ul.RadarSpec.preset("x4m05"), max_bounces=3)
+print(sorted(file.name for file in set(cache_folder().rglob("*.nbc")) - before))
 """
 
 

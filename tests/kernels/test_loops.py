@@ -1,4 +1,4 @@
-"""Loops are compiled with less than Numba's whole ado, and come out as Numba alone would have them."""
+"""Loops come out as Numba alone would have them, and their copies on disk belong to all kernel sources together."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -16,8 +15,7 @@ import pytest
 from numba.core.errors import NumbaError
 
 import ullage
-from ullage.arrays import Floats
-from ullage.kernels import beams, bounces, edge_diffraction, edges, facets, loops, outlines, pulse, rays, zones
+from ullage.kernels import loops
 from ullage.kernels.loops import lean, loop
 
 
@@ -66,73 +64,6 @@ def test_a_lean_loop_that_makes_an_array_is_refused() -> None:
         lean(cache=False)(made)(np.zeros(1))
 
 
-class Circle(NamedTuple):
-    """A circle about a centre."""
-
-    centre: Floats  # (2) [m]
-    radius: float  # [m]
-
-
-class Shape(NamedTuple):
-    """Points, and a circle."""
-
-    points: Floats  # (n, 2) [m]
-    circle: Circle
-    scale: float
-
-
-def outside(shape: Shape, least, out: Circle):  # type: ignore[no-untyped-def]
-    """Count the points outside a circle; their mean goes to `out`."""
-    points, circle, scale = shape
-    count = 0
-    for i in range(len(points)):
-        x, y = points[i, 0] - circle.centre[0], points[i, 1] - shape.circle.centre[1]
-        if scale * math.sqrt(x * x + y * y) > max(circle.radius, least):
-            for k in range(2):
-                out.centre[k] += points[i, k]
-            count += 1
-    return count
-
-
-def test_a_loop_called_by_fields_gives_what_numba_alone_makes_of_its_named_tuples() -> None:
-    points = np.random.default_rng(1).normal(size=(50, 2))
-    shape = Shape(points, Circle(np.array([0.1, 0.2]), 0.5), 1.5)
-    one, other = Circle(np.zeros(2), 0.0), Circle(np.zeros(2), 0.0)
-    counts = numba.njit(outside)(shape, 0.3, one), loop(by_fields=True, cache=False)(outside)(shape, 0.3, other)
-    assert counts[0] == counts[1] > 0
-    assert np.array_equal(one.centre, other.centre)
-
-
-def test_a_loop_called_by_fields_is_compiled_for_arrays_and_numbers_alone() -> None:
-    """Numba would find the type of every NamedTuple anew at each call."""
-    quick = loop(by_fields=True, cache=False)(outside)
-    quick(Shape(np.ones((3, 2)), Circle(np.zeros(2), 0.5), 1.0), 0.3, out=Circle(np.zeros(2), 0.0))
-    (types,) = quick.compiled().signatures
-    assert len(types) == 7
-    assert not any(isinstance(kind, numba.types.BaseTuple) for kind in types)
-
-
-def test_the_radar_calls_its_loops_with_arrays_and_numbers_alone() -> None:
-    scene = ullage.scenes.room((4, 3, 3), plate={"width_m": 0.5, "height_m": 0.5, "distance_m": 1.0})
-    pose = ullage.Trajectory.stationary(position_m=(0, 0, 0))
-    ullage.simulate(scene, pose, ullage.RadarSpec.preset("x4m05"), max_bounces=2)
-    found = [value for kernels in (beams, bounces, edge_diffraction, edges, facets, outlines, pulse, rays, zones)
-             for value in vars(kernels).values() if hasattr(value, "signatures")]  # fmt: skip
-    called = [loop for loop in found if not loop.targetoptions.get("no_cpython_wrapper") and loop.signatures]
-    assert called
-    for kernel in called:
-        assert not any(isinstance(kind, numba.types.BaseTuple) for kinds in kernel.signatures for kind in kinds)
-
-
-def test_an_error_in_a_loop_called_by_fields_names_its_own_line() -> None:
-    def wrong(circle: Circle, out):  # type: ignore[no-untyped-def]
-        out[0] = circle.radius
-        out[1] = circle.diameter  # type: ignore[attr-defined]
-
-    with pytest.raises(NumbaError, match=rf"test_loops.py., line {wrong.__code__.co_firstlineno + 2}\b"):
-        loop(by_fields=True, cache=False)(wrong)(Circle(np.zeros(2), 0.5), np.zeros(2))
-
-
 def test_a_change_of_one_kernel_file_recompiles_the_kernels_of_the_others_that_call_it(tmp_path: Path) -> None:
     kernels = tmp_path / "ullage" / "kernels"
     shutil.copytree(Path(ullage.__file__).parent, tmp_path / "ullage", ignore=shutil.ignore_patterns("__pycache__"))
@@ -175,3 +106,15 @@ def test_compiled_copies_of_old_versions_are_deleted_and_numba_s_own_setting_is_
     assert mine is not None
     assert {place.name for place in tmp_path.iterdir()} == {mine.name, "kernels-0", "kernels-1", "kernels-2"}
     assert str(tmp_path) == numba.config.CACHE_DIR
+
+
+def test_a_part_is_compiled_once_it_is_marked_in_the_folder_of_these_sources(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loops, "cache_folder", lambda: tmp_path)
+    loops.mark_compiled("walls")
+    assert loops.compiled(["walls"])
+    assert not loops.compiled(["walls", "wires"])
+    monkeypatch.setattr(loops, "cache_folder", lambda: None)  # nothing can be kept
+    loops.mark_compiled("wires")
+    assert not loops.compiled(["walls"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import os
 import shutil
 import sys
 from collections.abc import Iterator
@@ -64,12 +63,11 @@ def _library(name: str, *, extra: str = "") -> Check:
 
 
 def _kernels() -> Check:
-    from ullage.experiments.warmup import FOLDER, compiled
+    from ullage.experiments.warmup import compiled
+    from ullage.kernels.loops import cache_folder
 
-    if compiled():
-        return Check("kernels", True, "compiled")
-    writable = os.access(FOLDER, os.W_OK)
-    return Check("kernels", True, "will be compiled at the first run" + ("" if writable else ", into the user's cache"))
+    where = f"kept in {folder}" if (folder := cache_folder()) else "no folder to keep them in can be written"
+    return Check("kernels", True, "compiled" if compiled() else f"will be compiled at the first run, {where}")
 
 
 def _rays() -> Check:

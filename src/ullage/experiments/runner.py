@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,6 @@ from ullage.experiments.verdict import verdict
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import LOGGER, DetectStage, ImageStage, MapStage, Outcome, Sink, Source, Stage, run
 from ullage.processing.obstacles import ObstacleStage
-from ullage.radar.warmup import Compiling
 from ullage.world.scene import Scene
 
 Log = Callable[[str], None]
@@ -46,7 +45,6 @@ def execute(
     on_lag: Callable[[float, int], None] | None = None,
     log: Log = LOGGER.info,
     draw: bool = True,
-    under_way: Compiling | None = None,
 ) -> Report:
     """Run the loop, then write map files, metrics, figures, report and provenance, and put the run in its place.
 
@@ -59,12 +57,11 @@ def execute(
         on_lag: called in a live run with the seconds that map and image are behind, and the frames left out.
         log: called with each step in a few words.
         draw: figures too; without them the report holds numbers only.
-        under_way: kernels that are still being compiled; maps and images wait for theirs.
     """
     try:
         write_text(job.folder / "scenario.yaml", scenario_text(job.scenario))
         job.place.mark_running()
-        outcome = _receive(job, sinks, progress, on_lag, log, under_way)
+        outcome = _receive(job, sinks, progress, on_lag)
         report = _finish(job, outcome, log if draw else None)
     except BaseException as error:
         _keep_what_came(job, error)
@@ -78,21 +75,15 @@ def _receive(
     sinks: Sequence[Sink],
     progress: Callable[[float], None] | None,
     on_lag: Callable[[float, int], None] | None,
-    log: Log,
-    under_way: Compiling | None,
 ) -> Outcome:
     """Run the loop; the map so far is saved every minute."""
-    stages = _stages(job) if under_way is None else _patient(_stages(job), under_way, log)
+    stages = _stages(job)
     wall, cpu = time.perf_counter(), time.process_time()
     keeping: list[Sink] = [MapSaver(job.folder), job.history]
     if job.obstacles is not None:
         keeping.append(job.obstacles)
-    try:
-        given = [*sinks, *job.sinks, *keeping]
-        outcome = run(job.source, stages=stages, sinks=given, progress=progress, on_lag=on_lag)
-    finally:
-        if under_way is not None:
-            under_way.close()
+    given = [*sinks, *job.sinks, *keeping]
+    outcome = run(job.source, stages=stages, sinks=given, progress=progress, on_lag=on_lag)
     if job.live:
         job.flown = _seen_path(job.sampled) or job.flown
     job.timing |= {"loop_wall_s": time.perf_counter() - wall, "loop_cpu_s": time.process_time() - cpu}
@@ -163,31 +154,6 @@ def _keep_what_came(job: Run, error: BaseException) -> None:
             write_json(job.folder / "metrics.json", metric_tree(frames))
         job.place.mark(state="unfinished", refused=reason)
     job.place.release()
-
-
-@dataclass(slots=True)
-class Patient:
-    """A stage that waits for the kernels it needs when the first piece comes; what came before it has the piece."""
-
-    stage: Stage
-    under_way: Compiling
-    log: Log
-
-    def update(self, chunk: dict[str, Frames]) -> Iterable[Any]:
-        """Return the stage's results for this chunk."""
-        if self.under_way.later:
-            self.under_way.wait_later()
-            self.log("receiving and mapping")
-        return self.stage.update(chunk)
-
-    def finish(self) -> Iterable[Any]:
-        """Return the stage's remaining results."""
-        return self.stage.finish()
-
-
-def _patient(stages: list[Stage], under_way: Compiling, log: Log) -> list[Stage]:
-    under_way.log = lambda what: log(f"the first frames are recorded; compiling {what} (once after installation)")
-    return [Patient(s, under_way, log) if isinstance(s, MapStage | ImageStage) else s for s in stages]
 
 
 def _stages(job: Run) -> list[Stage]:

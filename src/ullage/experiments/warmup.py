@@ -1,43 +1,25 @@
-"""Compiles the kernels a run needs, once after installation: those of flight and radar first, the map's after."""
+"""Compiles the kernels a run needs, once after installation: those of flight, radar and map."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
 from functools import partial
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from ullage import kernels
 from ullage.config import MapMethod, Scenario
 from ullage.data import Frames
+from ullage.kernels import loops
 from ullage.processing.occupancy import BEST
 from ullage.radar import warmup as radar
-from ullage.radar.warmup import Compiling, Job, Log, radar_parts
+from ullage.radar.warmup import Job, Log, radar_parts
 from ullage.world.scene import Scene
-
-FOLDER = Path(kernels.__path__[0])
-NEEDED = {
-    "hector": ("flight", "proximity"),
-    **radar.NEEDED,
-    "elfes": ("elfes",),
-    "rules": (
-        *("occupancy", "occupancy_cone", "occupancy_listen", "occupancy_reach", "occupancy_show", "occupancy_strip"),
-        "rolls",
-    ),
-    "likelihood": ("matched_sums", "surface_cells", "silence"),
-    "likelihood in volumes": ("matched_sums", "directed_sums", "volume_cells"),
-    "backprojection": ("backprojection",),
-}
-"""Kernel modules behind each part of a run."""
-LATER = ("elfes", "rules", "likelihood", "likelihood in volumes", "backprojection")
-"""Parts that a run can begin without."""
 
 
 def parts_of(scenario: Scenario, scene: Scene | None = None) -> tuple[str, ...]:
-    """Return the parts of `NEEDED` that a scenario runs.
+    """Return the parts of `JOBS` that a scenario runs.
 
     Args:
         scenario: to run.
@@ -50,50 +32,22 @@ def parts_of(scenario: Scenario, scene: Scene | None = None) -> tuple[str, ...]:
         method = "likelihood in volumes"
     parts += [method] if "map" in scenario.do else []
     parts += [scenario.image.method] if "image" in scenario.do else []
-    return tuple(part for part in parts if part in NEEDED)
+    return tuple(part for part in parts if part in {job.part for job in JOBS})
 
 
-def compiled(parts: Iterable[str] = tuple(NEEDED)) -> bool:
-    """Whether every kernel module behind these parts has a compiled copy newer than its source."""
-    return all(kernels.compiled(stem) for part in parts for stem in NEEDED[part])
+def compiled(parts: Iterable[str] | None = None) -> bool:
+    """Whether the kernels of these parts, or of all, are compiled from their sources as they are."""
+    return loops.compiled(job.part for job in _jobs(parts))
 
 
-def estimated_s(parts: Iterable[str]) -> float:
-    """Estimate how long it takes to compile what a run of these parts cannot begin without [s]."""
-    wanted = {part for part in parts if part not in LATER and not compiled((part,))}
-    return radar.estimated_s([job for job in JOBS if job.part in wanted])
+def compile_kernels(parts: Iterable[str] | None = None, *, log: Log | None = None) -> None:
+    """Compile the kernels of these parts, or of all; `log` is called with what is being compiled."""
+    radar.run_jobs(_jobs(parts), module=__name__, log=log)
 
 
-def begin(parts: Iterable[str], *, log: Log | None = None, work: Compiling | None = None) -> Compiling:
-    """Compile what a run of these parts cannot begin without, in two processes where there are two cores.
-
-    Args:
-        parts: keys of `NEEDED`.
-        log: called with the part being compiled.
-        work: one whose other process has started, as `ahead` gives it.
-
-    Returns:
-        What goes on compiling; `wait_later` waits for it.
-    """
-    wanted = [job for job in JOBS if job.part in set(parts)]
-    now, later = ([job for job in wanted if (job.part in LATER) == late] for late in (False, True))
-    work = work or Compiling(module=__name__)
-    work.now, work.later, work.log = now, [job for job in later if not compiled((job.part,))], log
-    work.wait()
-    return work
-
-
-def ahead() -> Compiling:
-    """Python started beside this process, to compile what will turn out to be needed; `begin` tells it."""
-    work = Compiling(module=__name__)
-    work.open()
-    return work
-
-
-def compile_kernels(parts: Iterable[str] = tuple(NEEDED), *, log: Log | None = None) -> None:
-    """Compile all kernels of these parts before returning, unlike `begin`."""
-    wanted = set(parts)
-    Compiling([job for job in JOBS if job.part in wanted], module=__name__, log=log).wait()
+def _jobs(parts: Iterable[str] | None) -> list[Job]:
+    wanted = None if parts is None else set(parts)
+    return [job for job in JOBS if wanted is None or job.part in wanted]
 
 
 def _flight() -> None:
@@ -157,14 +111,14 @@ def _few(half_m: float = 0.1) -> Frames:
 
 
 JOBS = (
-    Job("flight", "hector", 3.5, _flight),
     *radar.JOBS,
-    Job("Elfes' map", "elfes", 0.8, partial(_map, "elfes")),
-    Job("map", "rules", 12, partial(_map, "rules")),
-    Job("map of surfaces", "likelihood", 4, partial(_surfaces, 2)),
-    Job("surfaces in a volume", "likelihood in volumes", 8, partial(_surfaces, 3)),
-    Job("images", "backprojection", 1, _image),
+    Job("elfes", partial(_map, "elfes")),
+    Job("rules", partial(_map, "rules")),
+    Job("backprojection", _image),
+    Job("likelihood", partial(_surfaces, 2)),
+    Job("likelihood in volumes", partial(_surfaces, 3)),
+    Job("hector", _flight),
 )
 
 if __name__ == "__main__":
-    radar.beside(JOBS)
+    radar.do_named_jobs(JOBS)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Singles
 from ullage.kernels.loops import inner, loop
 
 # Least squares on |t| <= 1/2: sin(2 pi t) to 6e-6, cos(2 pi t) to 4e-5. Single precision throughout, for wide vectors.
@@ -62,7 +63,15 @@ class _Aimed(NamedTuple):
 
 
 @inner(nogil=True, fastmath=True, error_model="numpy")
-def _aim(offset, step, turn, profiles, pattern, last, aimed):  # type: ignore[no-untyped-def]
+def _aim(
+    offset: tuple[float, float, float],
+    step: float,
+    turn: Floats,
+    profiles: Profiles,
+    pattern: Pattern,
+    last: float,
+    aimed: _Aimed,
+) -> None:
     """Find where each cell of a row lies in a frame's profile, its phase and its weight in the beam.
 
     Args:
@@ -110,7 +119,7 @@ def _aim(offset, step, turn, profiles, pattern, last, aimed):  # type: ignore[no
 
 
 @loop(nogil=True, fastmath=True, error_model="numpy")
-def backproject_rows(rows, profiles, track, pattern, sums):  # type: ignore[no-untyped-def]
+def backproject_rows(rows: Rows, profiles: Profiles, track: Track, pattern: Pattern, sums: Singles) -> None:
     """Add the echoes of every frame to rows of cells.
 
     Args:

@@ -75,7 +75,7 @@ def scratch() -> BeamScratch:
 
 
 @core(nogil=True, error_model="numpy")
-def _clipped(outlines, at, count, planes, made):  # type: ignore[no-untyped-def]
+def _clipped(outlines: Floats, at: int, count: int, planes: Floats, made: int) -> tuple[int, int]:
     """Keep the part of a closed outline where plane . (x, 1) >= 0 for every plane (Sutherland-Hodgman).
 
     The outline is outlines[at] or, as it goes to and fro between them, the one after an even `at`.
@@ -115,7 +115,9 @@ def _clipped(outlines, at, count, planes, made):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _walls(apex, outlines, at, count, normals, offsets, p, planes):  # type: ignore[no-untyped-def]
+def _walls(
+    apex: Floats, outlines: Floats, at: int, count: int, normals: Floats, offsets: Floats, p: int, planes: Floats
+) -> int:
     """Write the planes of the beam that leaves face p from an image through outlines[at]; return their count."""
     cx, cy, cz = 0.0, 0.0, 0.0
     for i in range(count):
@@ -144,7 +146,7 @@ def _walls(apex, outlines, at, count, normals, offsets, p, planes):  # type: ign
 
 
 @core(nogil=True, error_model="numpy")
-def _reached(spheres, p, planes, made, apex, receiver, gate):  # type: ignore[no-untyped-def]
+def _reached(spheres: Floats, p: int, planes: Floats, made: int, apex: Floats, receiver: Floats, gate: float) -> bool:
     """Return whether the sphere of face p meets the beam and can echo within the gate."""
     x, y, z, radius = spheres[p, 0], spheres[p, 1], spheres[p, 2], spheres[p, 3]
     for i in range(made):
@@ -156,7 +158,7 @@ def _reached(spheres, p, planes, made, apex, receiver, gate):  # type: ignore[no
 
 
 @core(nogil=True, error_model="numpy")
-def _emit(target, planes, made, faces, outlines, edges, at):  # type: ignore[no-untyped-def]
+def _emit(target: int, planes: Floats, made: int, faces: EndFaces, outlines: Floats, edges: Floats, at: int) -> int:
     """Write the clipped outline of a face as edges (m, 2, 3) from `at` on; return where it ends."""
     loop_of, loops, starts = faces.loop_of, faces.loops, faces.starts
     for ring in range(loop_of[target], loop_of[target + 1]):
@@ -179,7 +181,7 @@ def _emit(target, planes, made, faces, outlines, edges, at):  # type: ignore[no-
 
 
 @core(nogil=True, error_model="numpy")
-def _ends(beam, receiver, gate, faces, out, scratch):  # type: ignore[no-untyped-def]
+def _ends(beam: _Beam, receiver: Floats, gate: float, faces: EndFaces, out: BeamRows, scratch: BeamScratch) -> None:
     """Write the parts of a beam that light each of the faces on which beams may end.
 
     Args:
@@ -204,8 +206,16 @@ def _ends(beam, receiver, gate, faces, out, scratch):  # type: ignore[no-untyped
         at[0], at[1] = at[0] + 1, end
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def trace(origins, most, gate, mirrors: ConvexMirrors, faces: EndFaces, out: BeamRows, scratch: BeamScratch):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def trace(
+    origins: Floats,
+    most: int,
+    gate: float,
+    mirrors: ConvexMirrors,
+    faces: EndFaces,
+    out: BeamRows,
+    scratch: BeamScratch,
+) -> tuple[int, int]:
     """Trace every beam of two or three bounces: over one or two mirrors, then on the face where it ends.
 
     Args:
@@ -251,7 +261,7 @@ def trace(origins, most, gate, mirrors: ConvexMirrors, faces: EndFaces, out: Bea
 
 
 @core(nogil=True, error_model="numpy")
-def _image(point, normal, offset, out):  # type: ignore[no-untyped-def]
+def _image(point: Floats, normal: Floats, offset: float, out: Floats) -> None:
     """Write the mirror image of a point in the plane normal . x = offset, never in that plane itself."""
     gap = normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset
     gap += height(gap, gap)
@@ -260,7 +270,9 @@ def _image(point, normal, offset, out):  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True, error_model="numpy")
-def apparent_sizes(spheres, widths, origins, gate, wavelength, out):  # type: ignore[no-untyped-def]
+def apparent_sizes(
+    spheres: Floats, widths: Floats, origins: Floats, gate: float, wavelength: float, out: Floats
+) -> None:
     """Compute the apparent size of faces from the nearest antenna, reduced for faces smaller than a Fresnel zone.
 
     Faces beyond the gate get 0.
@@ -285,7 +297,7 @@ def apparent_sizes(spheres, widths, origins, gate, wavelength, out):  # type: ig
 
 
 @lean(nogil=True, error_model="numpy")
-def largest(sizes, fade, most, which, weights):  # type: ignore[no-untyped-def]
+def largest(sizes: Floats, fade: float, most: Floats, which: Longs, weights: Floats) -> int:
     """Choose the faces of the largest apparent size, fewer than `most` has places, and weigh all of them.
 
     Args:

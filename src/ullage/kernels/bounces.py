@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ullage.arrays import Complexes, Floats, Ints, Longs
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels.edges import Outline
 from ullage.kernels.loops import core, lean
 from ullage.kernels.vectors import field_across, mirrored, unit_to
@@ -44,8 +44,10 @@ class ReflectScratch(NamedTuple):
     field: Complexes  # (3)
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def stand_ins(middle, outline: Outline, points, which, least, cut, out):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def stand_ins(
+    middle: Floats, outline: Outline, points: Floats, which: Longs, least: Floats, cut: Bools, out: Floats
+) -> None:
     """Choose one point on each beam's lit part: the mirror point, or where the path over the outline is shortest.
 
     Args:
@@ -89,7 +91,7 @@ def stand_ins(middle, outline: Outline, points, which, least, cut, out):  # type
 
 
 @core(nogil=True, error_model="numpy")
-def _cross(image, target, normal, offset, out):  # type: ignore[no-untyped-def]
+def _cross(image: Floats, target: Floats, normal: Floats, offset: float, out: Floats) -> None:
     """Write the point where the line from an image to a target crosses a face's plane."""
     here, there = -offset, -offset
     for k in range(3):
@@ -102,8 +104,10 @@ def _cross(image, target, normal, offset, out):  # type: ignore[no-untyped-def]
         out[k] = image[k] + share * (target[k] - image[k])
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def legs(beams: ImagePaths, normals, offsets, origins, rows, lit, out):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def legs(
+    beams: ImagePaths, normals: Floats, offsets: Floats, origins: Floats, rows: Longs, lit: Floats, out: Floats
+) -> None:
     """Find the corners (n, 5, 3) of each path from transmitter to receiver; with one mirror the first comes twice.
 
     Args:
@@ -132,7 +136,7 @@ def legs(beams: ImagePaths, normals, offsets, origins, rows, lit, out):  # type:
 
 
 @lean(nogil=True, error_model="numpy")
-def stretches(paths, wanted, starts, ends, owner):  # type: ignore[no-untyped-def]
+def stretches(paths: Floats, wanted: Floats, starts: Floats, ends: Floats, owner: Longs) -> int:
     """Write the ends (m, 3) of the legs of paths (n, 5, 3) that are wanted (not 0) and their paths; return m."""
     count = 0
     for i in range(len(paths)):
@@ -152,7 +156,7 @@ def stretches(paths, wanted, starts, ends, owner):  # type: ignore[no-untyped-de
 
 
 @lean(nogil=True, error_model="numpy")
-def middles(first, edges, out):  # type: ignore[no-untyped-def]
+def middles(first: Ints, edges: Floats, out: Floats) -> None:
     """Write the middle (b, 3) of the outline of each beam by length; a corner that clipping doubles counts once."""
     for i in range(len(first) - 1):
         whole = 0.0
@@ -171,7 +175,9 @@ def middles(first, edges, out):  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True, error_model="numpy")
-def cover(paths, chains, normals, widths, wavelength, size, out):  # type: ignore[no-untyped-def]
+def cover(
+    paths: Floats, chains: Longs, normals: Floats, widths: Floats, wavelength: float, size: Floats, out: Floats
+) -> None:
     """Multiply `out` (b) by the share of a wave that each path's mirrors (b, 2) reflect.
 
     A mirror smaller than the Fresnel zone sqrt(lambda d1 d2 / (d1 + d2)) reflects, by Kirchhoff's integral, the area
@@ -209,7 +215,7 @@ def cover(paths, chains, normals, widths, wavelength, size, out):  # type: ignor
 
 
 @core(nogil=True, error_model="numpy")
-def reflect_field(gamma, object_id, n, u, field):  # type: ignore[no-untyped-def]
+def reflect_field(gamma: Complexes, object_id: int, n: Floats, u: Floats, field: Complexes) -> None:
     """Replace the field (3) by that after a bounce: Fresnel's coefficients by polarisation, then mirrored."""
     cosine = abs(n[0] * u[0] + n[1] * u[1] + n[2] * u[2])
     place = min(cosine, 1.0) * (gamma.shape[3] - 1)
@@ -227,17 +233,17 @@ def reflect_field(gamma, object_id, n, u, field):  # type: ignore[no-untyped-def
         field[k] -= twice * n[k]
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def reflect(  # type: ignore[no-untyped-def]
-    paths,
-    chains,
-    ends_on,
+@lean(nogil=True, error_model="numpy")
+def reflect(
+    paths: Floats,
+    chains: Longs,
+    ends_on: Longs,
     mirrors: Mirrors,
     antennas: Orientations,
-    factor,
+    factor: Complexes,
     imaged: Orientations,
     scratch: ReflectScratch,
-):
+) -> None:
     """Multiply paths by the effect of all reflections on the transmitted field, as the receiver's polarisation sees it.
 
     Args:

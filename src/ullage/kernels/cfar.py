@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from ullage.arrays import Floats
 from ullage.kernels.loops import loop
 
 
 @loop(nogil=True)
-def windowed_order(power, guard, train, rank, out):  # type: ignore[no-untyped-def]
+def windowed_order(power: Floats, guard: int, train: int, rank: int, out: Floats) -> None:
     """The `rank`-th smallest [0 = least] of the `train` cells on either side of each cell, past `guard` cells.
 
     power, out: (n, b). Near the ends the window lacks one side and takes as many cells more from the other.

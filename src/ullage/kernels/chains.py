@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ullage.arrays import Floats, Longs
+from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.kernels.loops import core, lean
 from ullage.kernels.vectors import dot, unit_to
 
@@ -19,7 +19,9 @@ class WallPlaces(NamedTuple):
 
 
 @lean(nogil=True, error_model="numpy")
-def beside(corners, at, out, up, spreads, slopes, least, rows):  # type: ignore[no-untyped-def]
+def beside(
+    corners: Floats, at: int, out: Floats, up: Floats, spreads: Floats, slopes: Floats, least: Floats, rows: Floats
+) -> None:
     """Compute the slopes of paths from line to line, and their spreads times what Kirchhoff's integral has at the wall.
 
     Args:
@@ -48,7 +50,7 @@ def beside(corners, at, out, up, spreads, slopes, least, rows):  # type: ignore[
 
 
 @core(nogil=True, error_model="numpy")
-def _between(lengths, slopes, i, share, step):  # type: ignore[no-untyped-def]
+def _between(lengths: Floats, slopes: Floats, i: int, share: float, step: float) -> tuple[float, float]:
     """Compute the path [m] at a share of the distance from line i to the next, and its slope, by a cubic."""
     j = (i + 1) % len(lengths)
     a, b, p, q = lengths[i], lengths[j], step * slopes[i], step * slopes[j]
@@ -56,8 +58,10 @@ def _between(lengths, slopes, i, share, step):  # type: ignore[no-untyped-def]
     return a + share * (p + share * (bow + share * bend)), (p + share * (2 * bow + 3 * share * bend)) / step
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def sampled(lengths, slopes, there, step, cut, many, places: WallPlaces):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def sampled(
+    lengths: Floats, slopes: Floats, there: Bools, step: float, cut: float, many: int, places: WallPlaces
+) -> int:
     """Choose places for the sum along a wall: all about points of stationary phase.
 
     Args:
@@ -86,8 +90,17 @@ def sampled(lengths, slopes, there, step, cut, many, places: WallPlaces):  # typ
     return count
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def summed(lengths, slopes, step, seen, places: WallPlaces, values, paths, rates):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def summed(
+    lengths: Floats,
+    slopes: Floats,
+    step: float,
+    seen: Complexes,
+    places: WallPlaces,
+    values: Complexes,
+    paths: Floats,
+    rates: Floats,
+) -> None:
     """Compute the contribution of each place along a wall.
 
     Args:

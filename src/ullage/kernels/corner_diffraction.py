@@ -35,8 +35,8 @@ class Corners(NamedTuple):
     bare: Bools  # (c) whether a wave from behind meets it too
 
 
-@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def audible(corners: Corners, antennas: Antennas, wave, gate, least, out):  # type: ignore[no-untyped-def]
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def audible(corners: Corners, antennas: Antennas, wave: float, gate: Floats, least: float, out: Longs) -> int:
     """Find the corners that face the radar and can return more than `least`.
 
     Args:
@@ -67,7 +67,7 @@ def audible(corners: Corners, antennas: Antennas, wave, gate, least, out):  # ty
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _seen(place, antennas, wave, rows):  # type: ignore[no-untyped-def]
+def _seen(place: Floats, antennas: Antennas, wave: float, rows: Floats) -> float:
     """Antenna gains over ranges at a place; rows get the direction of travel and both fields across it."""
     g, origins = 1.0, antennas.origins
     for j in range(3):
@@ -95,17 +95,17 @@ def _seen(place, antennas, wave, rows):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _dot(a, b):  # type: ignore[no-untyped-def]
+def _dot(a: Floats, b: Floats) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _cross(a, b, out):  # type: ignore[no-untyped-def]
+def _cross(a: Floats, b: Floats, out: Floats) -> None:
     out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _frame(corners, c, edge, rows):  # type: ignore[no-untyped-def]
+def _frame(corners: Corners, c: int, edge: int, rows: Floats) -> None:
     """Rows `INWARD` and `ALONG` get the unit vectors from an edge into its sheet, and along it."""
     along, other = corners.along[c, edge], corners.along[c, 1 - edge]
     share = _dot(along, other)
@@ -116,7 +116,7 @@ def _frame(corners, c, edge, rows):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _first(corners, c, edge, field, rows):  # type: ignore[no-untyped-def]
+def _first(corners: Corners, c: int, edge: int, field: int, rows: Floats) -> tuple[float, float, float]:
     """Magnetic field along an edge, sine of the cone's half angle, and cosine of half the angle of incidence.
 
     Row `WAVE` gets the unit direction in which the diffracted wave runs along the sheet.
@@ -132,7 +132,7 @@ def _first(corners, c, edge, field, rows):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _second(corners, c, edge, field, rows):  # type: ignore[no-untyped-def]
+def _second(corners: Corners, c: int, edge: int, field: int, rows: Floats) -> float:
     """Strength of an edge for a unit current along the sheet in the direction of row `WAVE` [Michaeli1986]."""
     _frame(corners, c, edge, rows)
     cosine = _dot(rows[WAVE], rows[ALONG])
@@ -148,7 +148,7 @@ def _second(corners, c, edge, field, rows):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _path(corners, c, one, before, behind, origins):  # type: ignore[no-untyped-def]
+def _path(corners: Corners, c: int, one: int, before: float, behind: float, origins: Floats) -> float:
     """Ranges of edge `one` at a distance before the corner and of the other behind it, mean of both antennas [m]."""
     total = 0.0
     for s in range(2):
@@ -161,7 +161,7 @@ def _path(corners, c, one, before, behind, origins):  # type: ignore[no-untyped-
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _route(corners, c, one, rows, out):  # type: ignore[no-untyped-def]
+def _route(corners: Corners, c: int, one: int, rows: Floats, out: Floats) -> bool:
     """Follow the wave of edge `one` to the other; whether it gets there.
 
     `out` gets the distances before the corner and across the sheet, over that behind the corner.
@@ -177,7 +177,7 @@ def _route(corners, c, one, rows, out):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _lit_share(before, x):  # type: ignore[no-untyped-def]
+def _lit_share(before: float, x: float) -> complex:
     """Share of a wave that the first edge sends to a place, as far as the edge goes: Fresnel's integral from its end.
 
     Args:
@@ -189,7 +189,19 @@ def _lit_share(before, x):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _accumulate(corners, c, one, strength, bend, ratios, late, antennas, pulse, sums, k):  # type: ignore[no-untyped-def]
+def _accumulate(
+    corners: Corners,
+    c: int,
+    one: int,
+    strength: complex,
+    bend: float,
+    ratios: Floats,
+    late: float,
+    antennas: Antennas,
+    pulse: PulseGrid,
+    sums: EchoSums,
+    k: int,
+) -> None:
     """Add the echo of one order of both edges, in parts of the second that are finer towards the corner."""
     before, across = ratios[0], ratios[1]
     wave, size = pulse.omega / C0, corners.lengths[c, 1 - one]
@@ -208,16 +220,16 @@ def _accumulate(corners, c, one, strength, bend, ratios, late, antennas, pulse, 
         x0, path0, w0 = x1, path1, w1
 
 
-@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def accumulate_corners(  # type: ignore[no-untyped-def]
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def accumulate_corners(
     which: Longs,
     corners: Corners,
     between: Transmission,
     antennas: Antennas,
     pulse: PulseGrid,
     sums: EchoSums,
-    rows,
-):
+    rows: Floats,
+) -> None:
     """Add the echoes of corners to the delay grids.
 
     Args:

@@ -37,10 +37,10 @@ class ScattererTiles(NamedTuple):
     first: Longs  # (t + 1) first scatterer of each tile
 
 
-@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def accumulate_diffuse_scatterers(  # type: ignore[no-untyped-def]
-    tiles: ScattererTiles, lobes, between: Transmission, antennas: Antennas, pulse: PulseGrid, sums: EchoSums
-):
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def accumulate_diffuse_scatterers(
+    tiles: ScattererTiles, lobes: Floats, between: Transmission, antennas: Antennas, pulse: PulseGrid, sums: EchoSums
+) -> None:
     """Add the echoes of scatterers to the delay grids; the echo of a tile is that of all its scatterers.
 
     Args:
@@ -94,7 +94,7 @@ def accumulate_diffuse_scatterers(  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True, error_model="numpy")
-def lobe(roughness, length, sine, terms):  # type: ignore[no-untyped-def]
+def lobe(roughness: float, length: float, sine: float, terms: int) -> float:
     """Sum the spectrum of exp(j phase) of a rough surface, less its mean, at 2 k sine [correlation areas].
 
     Args:

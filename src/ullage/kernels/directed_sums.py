@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.kernels.loops import inner, loop
-from ullage.kernels.matched_sums import ROUNDS, SHRINK, STEPS, _delay, _fit_at, _turn_rows
+from ullage.kernels.matched_sums import ROUNDS, SHRINK, STEPS, Aperture, Turns, _delay, _fit_at, _turn_rows
 
 
 class Patterns(NamedTuple):
@@ -20,7 +21,7 @@ class Patterns(NamedTuple):
 
 
 @inner()
-def pattern_gain(cube, turn, unit):  # type: ignore[no-untyped-def]
+def pattern_gain(cube: Floats, turn: Floats, unit: Floats) -> float:
     """Two-way amplitude gain of a sensor in a direction of the world.
 
     Args:
@@ -45,7 +46,7 @@ def pattern_gain(cube, turn, unit):  # type: ignore[no-untyped-def]
 
 
 @inner()
-def _toward(patterns, unit, gain):  # type: ignore[no-untyped-def]
+def _toward(patterns: Patterns, unit: Floats, gain: Floats) -> None:
     """Gain of each sensor in a direction, over that of the one that sees it best."""
     best = 1e-12
     for s in range(len(gain)):
@@ -56,7 +57,7 @@ def _toward(patterns, unit, gain):  # type: ignore[no-untyped-def]
 
 
 @loop(fastmath=True)
-def turn_rows_by(patterns, aperture, curvature, start, stop, turns):  # type: ignore[no-untyped-def]
+def turn_rows_by(patterns: Patterns, aperture: Aperture, curvature: float, start: int, stop: int, turns: Turns) -> None:
     """As `matched_sums.turn_rows`, by the patterns of the sensors.
 
     Args:
@@ -74,14 +75,23 @@ def turn_rows_by(patterns, aperture, curvature, start, stop, turns):  # type: ig
 
 
 @inner(fastmath=True)
-def _fitted(aperture, patterns, unit, curvature, place, gain, sums, parts):  # type: ignore[no-untyped-def]
+def _fitted(
+    aperture: Aperture,
+    patterns: Patterns,
+    unit: Floats,
+    curvature: float,
+    place: float,
+    gain: Floats,
+    sums: Floats,
+    parts: Floats,
+) -> tuple[float, float]:
     """Energy that a reflector explains, and all energy along its range, by the patterns of the sensors."""
     _toward(patterns, unit, gain)
     return _fit_at(aperture, unit, (0.0, curvature, place, 1.0, 0.0), gain, sums, parts)
 
 
 @inner()
-def _directed(start, frame, trial, unit):  # type: ignore[no-untyped-def]
+def _directed(start: Floats, frame: Floats, trial: Floats, unit: Floats) -> None:
     """Unit vector at two angles from a direction, along the two vectors of a frame."""
     size = 0.0
     for i in range(3):
@@ -93,7 +103,16 @@ def _directed(start, frame, trial, unit):  # type: ignore[no-untyped-def]
 
 
 @loop(fastmath=True)
-def refine_direction(aperture, patterns, start, frame, steps, most_curvature, sums, found):  # type: ignore[no-untyped-def]
+def refine_direction(
+    aperture: Aperture,
+    patterns: Patterns,
+    start: Floats,
+    frame: Floats,
+    steps: Floats,
+    most_curvature: float,
+    sums: Floats,
+    found: Floats,
+) -> None:
     """Search for the reflector that explains most energy near a first estimate, one parameter at a time.
 
     Args:
@@ -143,7 +162,7 @@ def refine_direction(aperture, patterns, start, frame, steps, most_curvature, su
 
 
 @loop(fastmath=True)
-def subtract_directed(aperture, found, sums, pulse):  # type: ignore[no-untyped-def]
+def subtract_directed(aperture: Aperture, found: Floats, sums: Floats, pulse: float) -> None:
     """Take a reflector out of the samples: each sensor's mean amplitude along it, times a Gaussian pulse.
 
     Args:
@@ -170,13 +189,15 @@ def subtract_directed(aperture, found, sums, pulse):  # type: ignore[no-untyped-
 
 
 @loop()
-def gains_toward(patterns, unit, gain):  # type: ignore[no-untyped-def]
+def gains_toward(patterns: Patterns, unit: Floats, gain: Floats) -> None:
     """Set the two-way amplitude gain (s) of each sensor in a direction (3), over that of the one that sees it best."""
     _toward(patterns, unit, gain)
 
 
 @loop()
-def weigh_levels(patterns, units, amplitude, sigma, bound, misfit, level):  # type: ignore[no-untyped-def]
+def weigh_levels(
+    patterns: Patterns, units: Floats, amplitude: Floats, sigma: Floats, bound: float, misfit: Floats, level: Floats
+) -> None:
     """Compare the amplitudes of an echo at all sensors with the antennas' patterns in each direction.
 
     Args:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ullage.arrays import Bools, Floats, Ints
+from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels.facets import FROM, ONE, TO, VERTEX, Antennas, EchoSums, PulseGrid, Transmission, same, toward
 from ullage.kernels.facets import turned as phasor
 from ullage.kernels.loops import core, lean
@@ -51,7 +51,7 @@ class PairPieces(NamedTuple):
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def transition(x):  # type: ignore[no-untyped-def]
+def transition(x: float) -> complex:
     """The transition function F(x) of uniform diffraction, 1 far from the shadow's border [KouyoumjianPathak1974]."""
     if x > 12:
         return 1 + 0.5j / x - 0.75 / (x * x) - 1.875j / (x * x * x)
@@ -71,7 +71,9 @@ def transition(x):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _graze(p, w, side, pairs, width, wave, antennas, out):  # type: ignore[no-untyped-def]
+def _graze(
+    p: Floats, w: int, side: int, pairs: EdgePairs, width: float, wave: float, antennas: Antennas, out: Floats
+) -> complex:
     """Diffraction by one edge of a pair along the face, with antenna gains over ranges.
 
     Row `side` of `out` gets the magnetic field along the edge for both antennas, and the path length [m].
@@ -121,7 +123,9 @@ def _graze(p, w, side, pairs, width, wave, antennas, out):  # type: ignore[no-un
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _twice(pieces, k, end, pairs, width, wave, antennas, out):  # type: ignore[no-untyped-def]
+def _twice(
+    pieces: PairPieces, k: int, end: int, pairs: EdgePairs, width: float, wave: float, antennas: Antennas, out: Floats
+) -> tuple[complex, float]:
     """Strength per length of the wave that crosses the face from edge to edge, and path length [m]."""
     product, w = 1.0 + 0j, pieces.pair[k]
     for side in range(2):
@@ -138,7 +142,7 @@ def _twice(pieces, k, end, pairs, width, wave, antennas, out):  # type: ignore[n
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _forward(x, y, z, t, sign, origins):  # type: ignore[no-untyped-def]
+def _forward(x: float, y: float, z: float, t: Floats, sign: float, origins: Floats) -> float:
     """Mean cosine between the directions from both antennas to a place and the unit vector sign t."""
     total = 0.0
     for s in range(2):
@@ -148,7 +152,7 @@ def _forward(x, y, z, t, sign, origins):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _advance(lines, w, end, t, size, sign, origins):  # type: ignore[no-untyped-def]
+def _advance(lines: PairLines, w: int, end: int, t: Floats, size: float, sign: float, origins: Floats) -> float:
     """How far a wave runs along pair w while it crosses the face and turns at its `end`; 0 where no path does [m]."""
     width2, run = 0.0, 0.0
     for j in range(3):
@@ -166,8 +170,8 @@ def _advance(lines, w, end, t, size, sign, origins):  # type: ignore[no-untyped-
     return run if run < 2 * size else 0.0
 
 
-@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def turning(which, lines: PairLines, origins, t, ends, pair):  # type: ignore[no-untyped-def]
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def turning(which: Longs, lines: PairLines, origins: Floats, t: Floats, ends: Floats, pair: Ints) -> int:
     """Find the paths from the first edge of pairs to the second that turn at the edge between them.
 
     The path leaves the first edge as far before the turn as it meets the second behind it, in the mean. That point lies
@@ -210,7 +214,7 @@ def turning(which, lines: PairLines, origins, t, ends, pair):  # type: ignore[no
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def along_sheet(x):  # type: ignore[no-untyped-def]
+def along_sheet(x: float) -> complex:
     """e^{jx} erfc(sqrt(jx)): what is left at some distance of the wave that the edge of a sheet sends along it.
 
     At the edge the current across it has no way out, and the wave cancels the incident one (x = 0). Far off the wave
@@ -221,7 +225,9 @@ def along_sheet(x):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _turned_strength(pieces, k, pairs, width, run, wave, antennas, out):  # type: ignore[no-untyped-def]
+def _turned_strength(
+    pieces: PairPieces, k: int, pairs: EdgePairs, width: float, run: float, wave: float, antennas: Antennas, out: Floats
+) -> complex:
     """Strength per length of the wave that crosses obliquely, as if the turn returned all of it."""
     product, w = 1.0 + 0j, pieces.pair[k]
     sine = width / math.sqrt(width * width + run * run)
@@ -238,7 +244,7 @@ def _turned_strength(pieces, k, pairs, width, run, wave, antennas, out):  # type
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _turned_path(pieces, k, pairs, shift, run, origins):  # type: ignore[no-untyped-def]
+def _turned_path(pieces: PairPieces, k: int, pairs: EdgePairs, shift: float, run: float, origins: Floats) -> float:
     """Both ranges [m] of the path that leaves the first edge by `shift` farther from the turn than in the mean.
 
     It meets the second edge by as much nearer to the turn.
@@ -256,7 +262,18 @@ def _turned_path(pieces, k, pairs, shift, run, origins):  # type: ignore[no-unty
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _accumulate_turned(pieces, k, pairs, width, late, antennas, pulse, sums, scale, rows):  # type: ignore[no-untyped-def]
+def _accumulate_turned(
+    pieces: PairPieces,
+    k: int,
+    pairs: EdgePairs,
+    width: float,
+    late: float,
+    antennas: Antennas,
+    pulse: PulseGrid,
+    sums: EchoSums,
+    scale: complex,
+    rows: Floats,
+) -> None:
     """Add the echo of the paths of one pair that turn; they form a family along the first edge."""
     w, run, wave = pieces.pair[k], 0.0, pulse.omega / C0
     for j in range(3):
@@ -286,16 +303,16 @@ def _accumulate_turned(pieces, k, pairs, width, late, antennas, pulse, sums, sca
         low, before = high, after
 
 
-@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def accumulate_doubles(  # type: ignore[no-untyped-def]
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def accumulate_doubles(
     pieces: PairPieces,
     pairs: EdgePairs,
     between: Transmission,
     antennas: Antennas,
     pulse: PulseGrid,
     sums: EchoSums,
-    rows,
-):
+    rows: Floats,
+) -> None:
     """Add the echoes of waves that cross a face between two parallel edges, there and back, to the delay grids.
 
     Args:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ullage.arrays import Bools, Floats, Ints
+from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels.facets import FROM, ONE, TO, VERTEX, Antennas, EchoSums, PulseGrid, Transmission, same, toward
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
@@ -46,7 +46,7 @@ class EdgeLines(NamedTuple):
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def excess(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
+def excess(open_angle: float, phi: float, mu: float, out: Floats) -> None:
     """Fringe current of one face of a wedge, integrated from the edge: along it (soft) and across it (hard).
 
     Args:
@@ -73,7 +73,7 @@ def excess(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def edge_diffraction(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
+def edge_diffraction(open_angle: float, phi: float, mu: float, out: Floats) -> None:
     """As `excess`, also where exact and optical current grow without bound together."""
     if phi < math.pi and abs(math.cos(phi) + mu) < 0.03:
         step = 0.05
@@ -88,7 +88,9 @@ def edge_diffraction(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def face(open_angle, inward, normals, w, i, sign, rows, out):  # type: ignore[no-untyped-def]
+def face(
+    open_angle: float, inward: Floats, normals: Floats, w: int, i: int, sign: float, rows: Floats, out: Floats
+) -> float:
     """One face's share of an edge's strength straight back, times the wave number.
 
     Args:
@@ -127,7 +129,9 @@ def face(open_angle, inward, normals, w, i, sign, rows, out):  # type: ignore[no
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def strength(places, k, end, w, wedges, wave, antennas, rows):  # type: ignore[no-untyped-def]
+def strength(
+    places: Floats, k: int, end: int, w: int, wedges: Wedges, wave: float, antennas: Antennas, rows: Floats
+) -> tuple[float, float, float]:
     """Antenna gains over ranges times the strength of edge w at places[k, end].
 
     The length of the path there [m] and its bend along the edge [1/m] follow.
@@ -176,7 +180,9 @@ def strength(places, k, end, w, wedges, wave, antennas, rows):  # type: ignore[n
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _best_seen(start, near, size, t, across, antennas):  # type: ignore[no-untyped-def]
+def _best_seen(
+    start: Floats, near: float, size: float, t: Floats, across: bool, antennas: Antennas
+) -> tuple[float, float]:
     """Largest gain of the antenna, and largest field across an edge, at both ends of it and `near` along it [m]."""
     origins, fields = antennas.origins, antennas.fields
     ex, ey, ez = fields[0, 0, 0], fields[0, 0, 1], fields[0, 0, 2]
@@ -193,8 +199,10 @@ def _best_seen(start, near, size, t, across, antennas):  # type: ignore[no-untyp
     return gain, most
 
 
-@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def audible(edges: EdgeLines, across, antennas: Antennas, wave, gate, least, t, out):  # type: ignore[no-untyped-def]
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def audible(
+    edges: EdgeLines, across: bool, antennas: Antennas, wave: float, gate: Floats, least: float, t: Floats, out: Longs
+) -> int:
     """Find the edges that can return more than `least`, by the most that their strength and length allow.
 
     Args:
@@ -249,10 +257,16 @@ def audible(edges: EdgeLines, across, antennas: Antennas, wave, gate, least, t, 
     return count
 
 
-@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def accumulate_edge_diffraction(  # type: ignore[no-untyped-def]
-    edges: EdgePieces, wedges: Wedges, between: Transmission, antennas: Antennas, pulse: PulseGrid, sums: EchoSums, rows
-):
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def accumulate_edge_diffraction(
+    edges: EdgePieces,
+    wedges: Wedges,
+    between: Transmission,
+    antennas: Antennas,
+    pulse: PulseGrid,
+    sums: EchoSums,
+    rows: Floats,
+) -> None:
     """Add the echoes of pieces of edges, and of ends of edges, to the delay grids.
 
     Args:

@@ -44,8 +44,8 @@ class EdgeSpots(NamedTuple):
     seats: Longs  # (m + n) which of them each piece of an edge, then each end, is seen by
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def facing(edges: EdgeSides, place, out):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def facing(edges: EdgeSides, place: Floats, out: Bools) -> None:
     """Find which edges have a place (3) in their open side: out (w)."""
     for w in range(len(edges.starts)):
         out[w] = False
@@ -57,7 +57,7 @@ def facing(edges: EdgeSides, place, out):  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True, error_model="numpy")
-def heights(starts, normals, place, out):  # type: ignore[no-untyped-def]
+def heights(starts: Floats, normals: Floats, place: Floats, out: Floats) -> None:
     """Heights (p) of a place (3) over faces with unit normals (p, 3) through points (p, 3) [m]."""
     for p in range(len(starts)):
         out[p] = 0.0
@@ -65,8 +65,10 @@ def heights(starts, normals, place, out):  # type: ignore[no-untyped-def]
             out[p] += normals[p, k] * (place[k] - starts[p, k])
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def place_edges(edges: CutEdges, pairs: CutPairs, corners: Corners, met, place, off, spots: EdgeSpots):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def place_edges(
+    edges: CutEdges, pairs: CutPairs, corners: Corners, met: Longs, place: Floats, off: float, spots: EdgeSpots
+) -> int:
     """Find the points from which edges are seen, just off them in their open side.
 
     An end from which a piece goes on is seen where that piece is.

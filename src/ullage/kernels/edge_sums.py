@@ -6,15 +6,18 @@ import math
 
 import numpy as np
 
-from ullage.kernels.directed_sums import pattern_gain
+from ullage.arrays import Floats, Longs
+from ullage.kernels.directed_sums import Patterns, pattern_gain
 from ullage.kernels.loops import loop
-from ullage.kernels.matched_sums import _delay
+from ullage.kernels.matched_sums import Aperture, _delay
 
 NEAR = 1  # bins about the range
 
 
 @loop(fastmath=True)
-def sum_edges(aperture, patterns, directions, bins, rows, energy, power):  # type: ignore[no-untyped-def]
+def sum_edges(
+    aperture: Aperture, patterns: Patterns, directions: Floats, bins: Longs, rows: Longs, energy: Floats, power: Floats
+) -> None:
     """Energy that a reflector in each direction explains at one range.
 
     Args:

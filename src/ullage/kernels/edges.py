@@ -85,7 +85,7 @@ class FaceCut(NamedTuple):
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def mirror(point, normal, offset, out):  # type: ignore[no-untyped-def]
+def mirror(point: Floats, normal: Floats, offset: float, out: Floats) -> None:
     """The mirror image of a point in the plane normal . x = offset."""
     gap = 2 * (normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset)
     for k in range(3):
@@ -93,7 +93,7 @@ def mirror(point, normal, offset, out):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _spot(spots, i, line, length):  # type: ignore[no-untyped-def]
+def _spot(spots: Floats, i: int, line: Floats, length: float) -> None:
     """Fill a spot, row i, whose place is known: path length, weight K / (r s) and offset from the axis follow it.
 
     Args:
@@ -118,13 +118,13 @@ def _spot(spots, i, line, length):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _off(spots, i):  # type: ignore[no-untyped-def]
+def _off(spots: Floats, i: int) -> float:
     """Square of how far spot i is from the axis."""
     return spots[i, 5] ** 2 + spots[i, 6] ** 2 + spots[i, 7] ** 2
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _turn(spots, i, j, line):  # type: ignore[no-untyped-def]
+def _turn(spots: Floats, i: int, j: int, line: Floats) -> float:
     """Angle from spot i to spot j around the axis."""
     ux, uy, uz, vx, vy, vz = spots[i, 5], spots[i, 6], spots[i, 7], spots[j, 5], spots[j, 6], spots[j, 7]
     cross = line[2, 0] * (uy * vz - uz * vy) + line[2, 1] * (uz * vx - ux * vz) + line[2, 2] * (ux * vy - uy * vx)
@@ -137,7 +137,7 @@ def _turn(spots, i, j, line):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _steep(spots, i, line, length, wave):  # type: ignore[no-untyped-def]
+def _steep(spots: Floats, i: int, line: Floats, length: float, wave: float) -> tuple[float, float, float]:
     """What an edge that ends at spot i, far from where its path is shortest, adds there.
 
     The integral of F e^{-jkP} dP ends in e^{-jkP} (jF / k)(1 - jy - 3 y^2 ...), with y = F' / (k F) and F the
@@ -165,7 +165,7 @@ def _steep(spots, i, line, length, wave):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _slow_part(spots, size, line, length, wave):  # type: ignore[no-untyped-def]
+def _slow_part(spots: Floats, size: float, line: Floats, length: float, wave: float) -> tuple[float, float]:
     """Shares of an edge, from spot 0 to 1, between which its path is too near to its shortest to be done by its ends.
 
     Spots 2 and 3 become their places, where they are not the edge's own ends.
@@ -202,7 +202,9 @@ def _slow_part(spots, size, line, length, wave):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _end(job, i, strong, y, into, tie, outline, scratch):  # type: ignore[no-untyped-def]
+def _end(
+    job: FaceCut, i: int, strong: float, y: float, into: float, tie: int, outline: Outline, scratch: CutScratch
+) -> None:
     """Write the end of an outline at spot i, or add it to the one at the same corner of the same face.
 
     Args:
@@ -240,7 +242,7 @@ def _end(job, i, strong, y, into, tie, outline, scratch):  # type: ignore[no-unt
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _before(faces, p, origins, aside, limit, line):  # type: ignore[no-untyped-def]
+def _before(faces: FaceOutlines, p: int, origins: Floats, aside: Floats, limit: float, line: Floats) -> float:
     """Set `line` to the transmitter's image in face p, the receiver and the axis from one to the other.
 
     Returns:
@@ -275,7 +277,7 @@ def _before(faces, p, origins, aside, limit, line):  # type: ignore[no-untyped-d
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _pieces(job, begins, stops, size, outline, scratch):  # type: ignore[no-untyped-def]
+def _pieces(job: FaceCut, begins: float, stops: float, size: float, outline: Outline, scratch: CutScratch) -> float:
     """Halve the edge from spot 4 to spot 5 until the delay along each piece is nearly linear in phi.
 
     Spots from 6 on, with marks of where they are and how far they turn from the one before, wait on a stack.
@@ -335,7 +337,7 @@ def _pieces(job, begins, stops, size, outline, scratch):  # type: ignore[no-unty
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _edge(job, size, outline, scratch):  # type: ignore[no-untyped-def]
+def _edge(job: FaceCut, size: float, outline: Outline, scratch: CutScratch) -> float:
     """Cut one edge of a face, from spot 0 to 1, of so many metres; give its turn around the axis [rad]."""
     spots, line, at = scratch.spots, scratch.line, scratch.counts
     length, wave = job.length, job.wave
@@ -374,7 +376,7 @@ def _edge(job, size, outline, scratch):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _about(spheres, normals, p, line):  # type: ignore[no-untyped-def]
+def _about(spheres: Floats, normals: Floats, p: int, line: Floats) -> tuple[float, bool]:
     """Sign of the side on which the axis leaves face p, and whether the outline may go round the axis."""
     facing, lead, square = 0.0, 0.0, 0.0
     for k in range(3):
@@ -386,7 +388,7 @@ def _about(spheres, normals, p, line):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _step_on(starts, ends, e, line, length, spots):  # type: ignore[no-untyped-def]
+def _step_on(starts: Floats, ends: Floats, e: int, line: Floats, length: float, spots: Floats) -> float:
     """Set the spots START and STOP to the ends of edge e, and line[3] along it; give the length of the edge [m].
 
     Most edges start where the one before stops, so that its last spot is known. One shorter than 1e-9 m is none.
@@ -413,7 +415,9 @@ def _step_on(starts, ends, e, line, length, spots):  # type: ignore[no-untyped-d
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _outline(faces, p, length, limit, limits, outline, scratch):  # type: ignore[no-untyped-def]
+def _outline(
+    faces: FaceOutlines, p: int, length: float, limit: float, limits: CutLimits, outline: Outline, scratch: CutScratch
+) -> float:
     """Cut all edges of face p, as `cut` does; give the turns of the outline around the axis."""
     spots, line, at = scratch.spots, scratch.line, scratch.counts
     sign, round_axis = _about(faces.spheres, faces.normals, p, line)
@@ -432,8 +436,16 @@ def _outline(faces, p, length, limit, limits, outline, scratch):  # type: ignore
     return sign * winding / (2 * math.pi)
 
 
-@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def cut(patches, faces: FaceOutlines, origins, aside, limits: CutLimits, outline: Outline, scratch: CutScratch):  # type: ignore[no-untyped-def]
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def cut(
+    patches: Longs,
+    faces: FaceOutlines,
+    origins: Floats,
+    aside: Floats,
+    limits: CutLimits,
+    outline: Outline,
+    scratch: CutScratch,
+) -> tuple[int, int]:
     """Cut the outlines of faces within their limits: near the shortest path into pieces, elsewhere by their ends.
 
     Args:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ullage.arrays import Complexes, Floats, Ints, Longs
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import TOUCH_M, lifted
 
@@ -111,8 +111,16 @@ class CornerScratch(NamedTuple):
     weight: Complexes  # (3) complex amplitude
 
 
-@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def split(clusters: TriangleClusters, dark, origins, limits: PieceLimits, leaves, owner, stack):  # type: ignore[no-untyped-def]
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def split(
+    clusters: TriangleClusters,
+    dark: Bools,
+    origins: Floats,
+    limits: PieceLimits,
+    leaves: Floats,
+    owner: Ints,
+    stack: Floats,
+) -> int:
     """Cut the triangles within the gate until each is small against the Fresnel zone.
 
     Args:
@@ -159,14 +167,14 @@ def split(clusters: TriangleClusters, dark, origins, limits: PieceLimits, leaves
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _mean_range(x, y, z, origins):  # type: ignore[no-untyped-def]
+def _mean_range(x: float, y: float, z: float, origins: Floats) -> float:
     a = math.sqrt((x - origins[0, 0]) ** 2 + (y - origins[0, 1]) ** 2 + (z - origins[0, 2]) ** 2)
     b = math.sqrt((x - origins[1, 0]) ** 2 + (y - origins[1, 1]) ** 2 + (z - origins[1, 2]) ** 2)
     return 0.5 * (a + b)
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _longest(t, origins, limits):  # type: ignore[no-untyped-def]
+def _longest(t: Floats, origins: Floats, limits: PieceLimits) -> int:
     """The edge to halve (from corner e to e + 1), -1 when the piece is small enough, -2 when outside the gate."""
     cx, cy, cz = (
         (t[0, 0] + t[1, 0] + t[2, 0]) / 3,
@@ -197,7 +205,7 @@ def _longest(t, origins, limits):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _halve(stack, top, edge):  # type: ignore[no-untyped-def]
+def _halve(stack: Floats, top: int, edge: int) -> None:
     a, b, c = edge, (edge + 1) % 3, (edge + 2) % 3
     for k in range(3):
         pa, pb, pc = stack[top, a, k], stack[top, b, k], stack[top, c, k]
@@ -207,7 +215,7 @@ def _halve(stack, top, edge):  # type: ignore[no-untyped-def]
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def toward(table, flat, frames, o, s, ux, uy, uz):  # type: ignore[no-untyped-def]
+def toward(table: Floats, flat: bool, frames: Floats, o: int, s: int, ux: float, uy: float, uz: float) -> float:
     """One-way amplitude gain along u in the world, for a sensor_from_world rotation frames[o, s].
 
     From a (6, m, m) cube of directions in the sensor's frame; where `flat`, the same everywhere.
@@ -235,14 +243,14 @@ def toward(table, flat, frames, o, s, ux, uy, uz):  # type: ignore[no-untyped-de
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def same(origins, o):  # type: ignore[no-untyped-def]
+def same(origins: Floats, o: int) -> bool:
     """Whether transmitter and receiver of a radar stand at one place."""
     return (origins[o, 0, 0] == origins[o, 1, 0] and origins[o, 0, 1] == origins[o, 1, 1]
             and origins[o, 0, 2] == origins[o, 1, 2])  # fmt: skip
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def turned(x):  # type: ignore[no-untyped-def]
+def turned(x: float) -> complex:
     """e^{-jx}, to 1e-11 and less for thousands of radians: nearest quarter turn, then Taylor's series."""
     n = math.floor(x * (2 / math.pi) + 0.5)
     y = x - n * (0.5 * math.pi)
@@ -258,7 +266,7 @@ def turned(x):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _accumulate(grids, kind, place, value):  # type: ignore[no-untyped-def]
+def _accumulate(grids: Complexes, kind: int, place: float, value: complex) -> None:
     """Add an impulse at a fractional place of one grid, with a cubic B-spline; outside the grid it is lost."""
     i = math.floor(place)
     if i < 1 or i + 2 >= grids.shape[1]:
@@ -272,7 +280,7 @@ def _accumulate(grids, kind, place, value):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def accumulate_triangle(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
+def accumulate_triangle(grids: Complexes, w: Complexes, x: Floats, places: Floats, scale: complex) -> complex:
     """Add the echo of a triangle of unit area, amplitude and phase linear between its corners.
 
     Args:
@@ -304,7 +312,7 @@ def accumulate_triangle(grids, w, x, places, scale):  # type: ignore[no-untyped-
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _bulk(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
+def _bulk(grids: Complexes, w: Complexes, x: Floats, places: Floats, scale: complex) -> complex:
     """Corners nearly at one delay: the moment series to sixth order."""
     middle = (x[0] + x[1] + x[2]) / 3
     y0, y1, y2 = x[0] - middle, x[1] - middle, x[2] - middle
@@ -320,7 +328,9 @@ def _bulk(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _strip(grids, w, x, places, scale, a, b, c):  # type: ignore[no-untyped-def]
+def _strip(
+    grids: Complexes, w: Complexes, x: Floats, places: Floats, scale: complex, a: int, b: int, c: int
+) -> complex:
     """Corners b and c nearly at one delay, a far from it: strips parallel to bc, integrated exactly along the rest."""
     z = 0.5 * (x[b] + x[c]) - x[a]
     eta = 0.5 * (x[c] - x[b])
@@ -347,7 +357,7 @@ def _strip(grids, w, x, places, scale, a, b, c):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _reflection(gamma, object_id, tap, cosine, across):  # type: ignore[no-untyped-def]
+def _reflection(gamma: Complexes, object_id: int, tap: int, cosine: float, across: float) -> complex:
     """Reflection coefficient from the tables over cos(incidence): `across` is the TE share of the power."""
     n = gamma.shape[3] - 1
     u = min(cosine, 0.9999999) * n
@@ -359,7 +369,7 @@ def _reflection(gamma, object_id, tap, cosine, across):  # type: ignore[no-untyp
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _late(lag, object_id, tap, cosine):  # type: ignore[no-untyped-def]
+def _late(lag: Floats, object_id: int, tap: int, cosine: float) -> float:
     """Delay of an inner echo from the table over cos(incidence) [s]."""
     n = lag.shape[2] - 1
     u = min(cosine, 0.9999999) * n
@@ -368,7 +378,7 @@ def _late(lag, object_id, tap, cosine):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def te_share(fields, o, ux, uy, uz, nx, ny, nz):  # type: ignore[no-untyped-def]
+def te_share(fields: Floats, o: int, ux: float, uy: float, uz: float, nx: float, ny: float, nz: float) -> float:
     """Share of the electric field across the plane of incidence, for a wave along u at a face with normal n."""
     sx, sy, sz = uy * nz - uz * ny, uz * nx - ux * nz, ux * ny - uy * nx
     ex, ey, ez = fields[o, 0, 0], fields[o, 0, 1], fields[o, 0, 2]
@@ -380,7 +390,9 @@ def te_share(fields, o, ux, uy, uz, nx, ny, nz):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _corners(leaves, k, normals, face, antennas, o, scratch):  # type: ignore[no-untyped-def]
+def _corners(
+    leaves: Floats, k: int, normals: Floats, face: int, antennas: Antennas, o: int, scratch: CornerScratch
+) -> tuple[float, float, float]:
     """Gain over ranges, cos(incidence) and path length at the corners of a piece go to `scratch`.
 
     Args:
@@ -437,15 +449,15 @@ def _corners(leaves, k, normals, face, antennas, o, scratch):  # type: ignore[no
     return bulge / 24, area, share
 
 
-@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def accumulate(  # type: ignore[no-untyped-def]
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def accumulate(
     pieces: TrianglePieces,
     lit: LitFaces,
     between: Transmission,
     pulse: PulseGrid,
     sums: EchoSums,
     scratch: CornerScratch,
-):
+) -> None:
     """Add the echo of every piece of a triangle to the delay grids.
 
     Args:

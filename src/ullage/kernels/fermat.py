@@ -62,8 +62,8 @@ class Scratch(NamedTuple):
     before: Floats  # (3, 3) corners before a step [m]
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def may_be_strong(surfaces: Reflectors, chains: Chains, limits: Limits, some):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def may_be_strong(surfaces: Reflectors, chains: Chains, limits: Limits, some: Longs) -> int:
     """Find the chains whose paths may be short and strong enough; from outside, round bodies only spread waves.
 
     Legs are at least as long as the gaps between reflectors. Each cylinder or sphere spreads the wave by half its
@@ -99,7 +99,7 @@ def may_be_strong(surfaces: Reflectors, chains: Chains, limits: Limits, some):  
 
 
 @core(nogil=True, error_model="numpy")
-def _gap(surfaces, one, other, plane):  # type: ignore[no-untyped-def]
+def _gap(surfaces: Reflectors, one: int, other: int, plane: int) -> float:
     """Bound from below how far apart two reflectors are, the other one seen in a plane if that is not -1 [m]."""
     kinds, centres, axes, radii, ends = surfaces
     a, b = (other, one) if kinds[one] == SPHERE else (one, other)  # images are mutual
@@ -121,8 +121,8 @@ def _gap(surfaces, one, other, plane):  # type: ignore[no-untyped-def]
     return max(gap - radii[a] - radii[b], 1e-3)
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def stationary(surfaces: Reflectors, rows, follow, steps, out: FermatPaths, scratch: Scratch):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def stationary(surfaces: Reflectors, rows: Longs, follow: bool, steps: int, out: FermatPaths, scratch: Scratch) -> None:
     """Find the stationary path of each sequence of reflectors.
 
     Args:
@@ -148,7 +148,7 @@ def stationary(surfaces: Reflectors, rows, follow, steps, out: FermatPaths, scra
 
 
 @core(nogil=True, error_model="numpy")
-def _begin(surfaces, chain, i, known, corners, normal):  # type: ignore[no-untyped-def]
+def _begin(surfaces: Reflectors, chain: Longs, i: int, known: bool, corners: Floats, normal: Floats) -> None:
     """Put the corners of a path where those of the last one were, or where round bodies face both neighbours."""
     kinds, centres, axes = surfaces.kinds, surfaces.centres, surfaces.axes
     last = len(chain) - 1
@@ -175,12 +175,12 @@ def _begin(surfaces, chain, i, known, corners, normal):  # type: ignore[no-untyp
 
 
 @core(nogil=True, error_model="numpy")
-def _apart(a, b):  # type: ignore[no-untyped-def]
+def _apart(a: Floats, b: Floats) -> float:
     return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
 
 @core(nogil=True, error_model="numpy")
-def _onto(surfaces, r, point, normal):  # type: ignore[no-untyped-def]
+def _onto(surfaces: Reflectors, r: int, point: Floats, normal: Floats) -> None:
     """Move a point to a line or a round body, and write the normal of a body."""
     kinds, centres, axes = surfaces.kinds, surfaces.centres, surfaces.axes
     if kinds[r] == LINE:
@@ -191,8 +191,8 @@ def _onto(surfaces, r, point, normal):  # type: ignore[no-untyped-def]
         onto(centres[r], axes[r, 2], surfaces.radii[r], kinds[r] == SPHERE, point, normal)
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def settle(surfaces: Reflectors, rows, corners, normal):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def settle(surfaces: Reflectors, rows: Longs, corners: Floats, normal: Floats) -> None:
     """Bring the corners (s + 2, n, 3) of paths over rows (n, s + 2) to their reflectors; `normal` (3) is scratch.
 
     On a plane a corner comes to where both neighbours see each other in it.
@@ -202,7 +202,7 @@ def settle(surfaces: Reflectors, rows, corners, normal):  # type: ignore[no-unty
 
 
 @core(nogil=True, error_model="numpy")
-def _settle(surfaces, chain, corners, i, normal):  # type: ignore[no-untyped-def]
+def _settle(surfaces: Reflectors, chain: Longs, corners: Floats, i: int, normal: Floats) -> None:
     kinds, centres, axes = surfaces.kinds, surfaces.centres, surfaces.axes
     for s in range(1, len(chain) - 1):
         if kinds[chain[s]] != PLANE:
@@ -218,7 +218,7 @@ def _settle(surfaces, chain, corners, i, normal):  # type: ignore[no-untyped-def
 
 
 @core(nogil=True, error_model="numpy")
-def _frame(surfaces, r, before, here, frame):  # type: ignore[no-untyped-def]
+def _frame(surfaces: Reflectors, r: int, before: Floats, here: Floats, frame: Floats) -> int:
     """Write the directions in which a corner may move, that along an axis last, and the normal; return how many."""
     kinds, axes = surfaces.kinds, surfaces.axes
     f, g, normal = frame[0], frame[1], frame[2]
@@ -242,7 +242,7 @@ def _frame(surfaces, r, before, here, frame):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _derivatives(surfaces, chain, corners, i, scratch):  # type: ignore[no-untyped-def]
+def _derivatives(surfaces: Reflectors, chain: Longs, corners: Floats, i: int, scratch: Scratch) -> int:
     """Write second and first derivatives of a path to columns 0 to 5, and 6, of the table; return the unknowns' number.
 
     Columns 7 to 9 are made unit vectors along the axes of the reflectors.
@@ -280,7 +280,7 @@ def _derivatives(surfaces, chain, corners, i, scratch):  # type: ignore[no-untyp
 
 
 @core(nogil=True, error_model="numpy")
-def _solve(table, size, columns):  # type: ignore[no-untyped-def]
+def _solve(table: Floats, size: int, columns: int) -> float:
     """Solve the second derivatives for columns 6 and on of the table, in place; return the determinant.
 
     A corner knows its neighbours only, so three of a row's entries before and after the diagonal are not 0. Lengths are
@@ -304,7 +304,7 @@ def _solve(table, size, columns):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _move(surfaces, chain, corners, i, scratch):  # type: ignore[no-untyped-def]
+def _move(surfaces: Reflectors, chain: Longs, corners: Floats, i: int, scratch: Scratch) -> float:
     """Move the corners of a path by a step of Newton's method, halved until the path grows no longer; return it [m]."""
     frames, legs, table, before = scratch
     many, kinds, total, share, row = len(chain) - 2, surfaces.kinds, 0.0, 1.0, 0
@@ -337,7 +337,7 @@ def _move(surfaces, chain, corners, i, scratch):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _record(surfaces, chain, size, i, out, scratch):  # type: ignore[no-untyped-def]
+def _record(surfaces: Reflectors, chain: Longs, size: int, i: int, out: FermatPaths, scratch: Scratch) -> bool:
     """Write a path with its second derivatives to the results; return whether it is one."""
     frames, legs, table, _ = scratch
     _, normals, lengths, spreads, bends = out

@@ -27,8 +27,10 @@ class FieldScratch(NamedTuple):
     field: Complexes  # (3)
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def polarised(paths: ReflectedPaths, gamma, antennas: Antennas, scratch: FieldScratch, out):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def polarised(
+    paths: ReflectedPaths, gamma: Complexes, antennas: Antennas, scratch: FieldScratch, out: Complexes
+) -> None:
     """Compute the factor that the antennas and all reflections put on the wave of each path.
 
     Args:
@@ -55,8 +57,10 @@ def polarised(paths: ReflectedPaths, gamma, antennas: Antennas, scratch: FieldSc
         out[i] = gain * dot(field, taken)
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def impulses(delays, values, pulse: PulseGrid, shares, grids, echo):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def impulses(
+    delays: Floats, values: Complexes, pulse: PulseGrid, shares: tuple[float, float], grids: Complexes, echo: Complexes
+) -> None:
     """Add impulses to the delay grids, each spread by a cubic B-spline.
 
     Args:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ullage.arrays import Bools, Floats, Ints
+from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels.edges import FAR
 from ullage.kernels.loops import core, inner, lean, loop
 
@@ -25,7 +25,7 @@ class PartedLines(NamedTuple):
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _steep(start, along, place, origins, wave, out):  # type: ignore[no-untyped-def]
+def _steep(start: Floats, along: Floats, place: float, origins: Floats, wave: float, out: Floats) -> float:
     """Do as `edges._steep` at a distance from a line's start, for an integrand that falls as 1 / (r s)."""
     path, rate, bend, fade = 0.0, 0.0, 0.0, 0.0
     for s in range(2):
@@ -43,7 +43,9 @@ def _steep(start, along, place, origins, wave, out):  # type: ignore[no-untyped-
 
 
 @inner(fastmath=True, nogil=True, error_model="numpy")
-def _slow_part(start, along, size, origins, wave, term, out):  # type: ignore[no-untyped-def]
+def _slow_part(
+    start: Floats, along: Floats, size: float, origins: Floats, wave: float, term: Floats, out: Floats
+) -> None:
     """Write to `out` (2) the distances from a line's start between which its ends cannot stand for the integral [m]."""
     foot, off = np.empty(2), np.empty(2)
     for s in range(2):
@@ -77,8 +79,8 @@ def _slow_part(start, along, size, origins, wave, term, out):  # type: ignore[no
         out[1] = size
 
 
-@loop(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def part(starts, ends, origins, gate, wave, out: PartedLines):  # type: ignore[no-untyped-def]
+@loop(fastmath=True, nogil=True, error_model="numpy")
+def part(starts: Floats, ends: Floats, origins: Floats, gate: Floats, wave: float, out: PartedLines) -> int:
     """Split lines: near the shortest path there is something to integrate, of the rest only the ends count.
 
     Args:
@@ -134,7 +136,7 @@ def part(starts, ends, origins, gate, wave, out: PartedLines):  # type: ignore[n
 
 
 @lean(nogil=True, error_model="numpy")
-def tie(owner, begin, tips, holders, sides, ties):  # type: ignore[no-untyped-def]
+def tie(owner: Ints, begin: Longs, tips: Floats, holders: Ints, sides: Ints, ties: Longs) -> int:
     """Find the piece that goes on from each end, and leave out ends of parts of which nothing was cut.
 
     Args:

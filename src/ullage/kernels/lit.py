@@ -59,7 +59,7 @@ class BoundScratch(NamedTuple):
 
 
 @core(nogil=True, error_model="numpy")
-def _shone(sphere, planes, count, one, other, gate):  # type: ignore[no-untyped-def]
+def _shone(sphere: Floats, planes: Floats, count: int, one: Floats, other: Floats, gate: float) -> bool:
     """Whether some of a sphere (4) lies in the beams and within the gate of a path that ends at two images."""
     x, y, z, radius = sphere[0], sphere[1], sphere[2], sphere[3]
     a = (x - one[0]) ** 2 + (y - one[1]) ** 2 + (z - one[2]) ** 2
@@ -73,7 +73,9 @@ def _shone(sphere, planes, count, one, other, gate):  # type: ignore[no-untyped-
 
 
 @core(nogil=True, error_model="numpy")
-def _strength(point, ends, turned, table, flat, axes, slopes):  # type: ignore[no-untyped-def]
+def _strength(
+    point: Floats, ends: Floats, turned: Floats, table: Floats, flat: bool, axes: Floats, slopes: Floats
+) -> float:
     """Antenna gains over both ranges at a point, for a radar at two images; the path's slopes (3) there go to `slopes`.
 
     Args:
@@ -102,7 +104,7 @@ def _strength(point, ends, turned, table, flat, axes, slopes):  # type: ignore[n
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
-def _turn_to_edge(p, normals, first, starts, axes):  # type: ignore[no-untyped-def]
+def _turn_to_edge(p: int, normals: Floats, first: Ints, starts: Floats, axes: Floats) -> None:
     """Sets axes[0] along the longest edge of a face, axes[1] across it in the face."""
     longest = 0.0
     for e in range(first[p], first[p + 1]):
@@ -120,7 +122,9 @@ def _turn_to_edge(p, normals, first, starts, axes):  # type: ignore[no-untyped-d
 
 
 @core(nogil=True, error_model="numpy")
-def _loud(p, ends, frames, faces, bounds, scratch):  # type: ignore[no-untyped-def]
+def _loud(
+    p: int, ends: Floats, frames: Floats, faces: FaceOutlines, bounds: EchoBounds, scratch: BoundScratch
+) -> tuple[float, float, float]:
     """Bound the echo of a face for a radar at two images, per path gain amplitude.
 
     Along each of two axes counts the face's width or, if that is less, what a phase that turns leaves of it: two ends,
@@ -174,7 +178,16 @@ def _loud(p, ends, frames, faces, bounds, scratch):  # type: ignore[no-untyped-d
 
 
 @core(nogil=True, error_model="numpy")
-def _kept(point, images, faces, normals, object_ids, most, object_id, slopes):  # type: ignore[no-untyped-def]
+def _kept(
+    point: Floats,
+    images: Floats,
+    faces: Longs,
+    normals: Floats,
+    object_ids: Ints,
+    most: Floats,
+    object_id: int,
+    slopes: Floats,
+) -> float:
     """Bound what the mirrors of a path and a thing at a point (3) reflect.
 
     Args:
@@ -199,7 +212,7 @@ def _kept(point, images, faces, normals, object_ids, most, object_id, slopes):  
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
-def _faced(one, other, normal, offset, outward, inside):  # type: ignore[no-untyped-def]
+def _faced(one: Floats, other: Floats, normal: Floats, offset: float, outward: Floats, inside: bool) -> bool:
     """Whether two images see the same side of a face, of a closed body the outer one unless they are inside its box."""
     ahead, behind, out = -offset, -offset, outward[3]
     for k in range(3):
@@ -208,16 +221,16 @@ def _faced(one, other, normal, offset, outward, inside):  # type: ignore[no-unty
     return not (ahead * behind <= 1e-9 or (out < 0 and not inside))
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def meet_faces(  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def meet_faces(
     paths: MirrorPaths,
-    items,
+    items: Longs,
     faces: FaceOutlines,
     sides: FaceSides,
     bounds: EchoBounds,
     met: MetFaces,
     scratch: BoundScratch,
-):
+) -> int:
     """Find the faces that each path reaches so that both legs end on the same side, of closed bodies on the outer one.
 
     Args:
@@ -273,8 +286,8 @@ def meet_faces(  # type: ignore[no-untyped-def]
     return count
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def outline_louds(outline: Outline, gains, unit, louds, paths):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def outline_louds(outline: Outline, gains: Floats, unit: float, louds: Floats, paths: Floats) -> int:
     """Bound the path gains of pieces and ends of outlines; an end from which a piece goes on counts with the piece.
 
     Args:
@@ -303,7 +316,7 @@ def outline_louds(outline: Outline, gains, unit, louds, paths):  # type: ignore[
 
 
 @lean(nogil=True, error_model="numpy")
-def sift(louds, paths, long, rest, least, sums, out):  # type: ignore[no-untyped-def]
+def sift(louds: Floats, paths: Floats, long: float, rest: float, least: float, sums: Floats, out: Bools) -> None:
     """Which echoes (n) count: all but those that together, with phases at random, make at most `rest` in a pulse.
 
     Args:
@@ -327,7 +340,7 @@ def sift(louds, paths, long, rest, least, sums, out):  # type: ignore[no-untyped
 
 
 @core(nogil=True, error_model="numpy")
-def _near(corners, one, other, gate):  # type: ignore[no-untyped-def]
+def _near(corners: Floats, one: Floats, other: Floats, gate: float) -> bool:
     """Whether some of a ball about a triangle lies within the gate of a path that ends at two images."""
     square, here, there = 0.0, 0.0, 0.0
     for e in range(3):
@@ -341,8 +354,10 @@ def _near(corners, one, other, gate):  # type: ignore[no-untyped-def]
     return 0.5 * (math.sqrt(here) + math.sqrt(there)) - BALL * math.sqrt(square) <= gate
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def meet_triangles(paths: MirrorPaths, gate, clusters: TriangleClusters, normals, sides: FaceSides, lit):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def meet_triangles(
+    paths: MirrorPaths, gate: float, clusters: TriangleClusters, normals: Floats, sides: FaceSides, lit: Bools
+) -> None:
     """Find the small triangles that each path reaches so that both legs end on the same side of them.
 
     Args:
@@ -374,7 +389,7 @@ def meet_triangles(paths: MirrorPaths, gate, clusters: TriangleClusters, normals
 
 
 @lean(nogil=True, error_model="numpy")
-def pair_up(lit, owner, of, at):  # type: ignore[no-untyped-def]
+def pair_up(lit: Bools, owner: Ints, of: Longs, at: Longs) -> int:
     """List the pairs of a path and a piece of a triangle that it reaches.
 
     Args:
@@ -394,7 +409,7 @@ def pair_up(lit, owner, of, at):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _cornered(planes, count, starts, begin, end):  # type: ignore[no-untyped-def]
+def _cornered(planes: Floats, count: int, starts: Floats, begin: int, end: int) -> bool:
     """Whether no plane leaves all corners of an outline outside."""
     for w in range(count):
         some = False
@@ -409,7 +424,7 @@ def _cornered(planes, count, starts, begin, end):  # type: ignore[no-untyped-def
 
 
 @core(nogil=True, error_model="numpy")
-def spot(begin, axis, size, one, other, out):  # type: ignore[no-untyped-def]
+def spot(begin: Floats, axis: Floats, size: float, one: Floats, other: Floats, out: Floats) -> float:
     """Point of a wire over which the path between two places is shortest, and that path [m]."""
     z0, z1, h0, h1 = 0.0, 0.0, 0.0, 0.0
     for k in range(3):

@@ -1,14 +1,7 @@
-"""How loops are compiled: copies are kept on disk, and nothing is done for them that loops do not need.
+"""How loops are compiled: by Numba's `njit`, with copies on disk that belong to all kernel sources together.
 
-A copy belongs to all kernel sources together. Numba alone compares only the file that a kernel stands in, and would go
-on using old code of the functions that this kernel calls from other files.
-
-Numba writes every function three times: itself, a wrapper that takes Python's objects, and one for C. The wrappers
-unpack every array argument, and cost a quarter of the time that compiling takes. Of its passes, those for closures,
-for contexts, for arguments that are None, for literal containers and for expressions of whole arrays find nothing here;
-with each of them the lives of all variables are followed anew. Leaving them out is Numba's documented option
-`pipeline_class`, and saves 5 to 13 % of the CPU time of the first call of `ullage.simulate`. Nothing of Numba itself
-is replaced.
+Numba alone compares only the file that a kernel stands in, and would go on using old code of the functions that this
+kernel calls from other files.
 """
 
 from __future__ import annotations
@@ -18,34 +11,12 @@ import os
 import shutil
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numba
-from numba import njit
-from numba.core import typed_passes as typed
-from numba.core import untyped_passes as untyped
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.compiler_machinery import PassManager
-
-from ullage.kernels.fields import unpacking
-
-
-class Plain(CompilerBase):  # type: ignore[misc]
-    """Compiles loops over arrays and numbers."""
-
-    def define_pipelines(self) -> list[Any]:
-        """The passes that such loops need, in Numba's order."""
-        passes = PassManager("loops")
-        for step in (untyped.TranslateByteCode, untyped.FixupArgs, untyped.IRProcessing, untyped.GenericRewrites,
-                     untyped.ReconstructSSA, typed.NopythonTypeInference, typed.PreLowerStripPhis):  # fmt: skip
-            passes.add_pass(step, step.__name__)
-        passes.passes.extend(DefaultPassBuilder.define_nopython_lowering_pipeline(self.state).passes)
-        passes.finalize()
-        return [passes]
 
 
 @cache
@@ -89,38 +60,34 @@ def _delete_old(place: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-_SETTING = threading.Lock()  # one thread at a time changes Numba's setting: loops are made at their first calls too
+def compiled(parts: Iterable[str]) -> bool:
+    """Whether the kernels of each part are in the cache folder, as `mark_compiled` says; without Numba always."""
+    folder = cache_folder()
+    return bool(numba.config.DISABLE_JIT) or all(folder and (folder / f"{part}.compiled").exists() for part in parts)
 
 
-@contextmanager
-def _cached() -> Iterator[None]:
-    """Have Numba keep the copies of what is decorated meanwhile in `cache_folder`."""
-    with _SETTING:
-        before = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(cache_folder() or before)
-        try:
-            yield
-        finally:
-            numba.config.CACHE_DIR = before
+def mark_compiled(part: str) -> None:
+    """Record that all kernels of a part are in the cache folder."""
+    if folder := cache_folder():
+        (folder / f"{part}.compiled").touch()
 
 
-def loop(*, by_fields: bool = False, **settings: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a kernel that Python calls.
+_SETTING = threading.Lock()  # one thread at a time changes Numba's setting
 
-    Args:
-        by_fields: whether the fields of its NamedTuples are passed one by one, as `fields` explains. Its parameters
-            that are NamedTuples must be annotated, and no other kernel can call it.
-        **settings: options of `numba.njit`.
-    """
+
+def loop(**settings: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a kernel that Python calls; settings are options of `numba.njit`."""
 
     def compile_loop(function: Callable[..., Any]) -> Any:
-        with _cached():
-            return njit(**{"cache": True, "no_cfunc_wrapper": True, "pipeline_class": Plain, **settings})(function)
+        with _SETTING:
+            before = numba.config.CACHE_DIR
+            numba.config.CACHE_DIR = str(cache_folder() or before)
+            try:
+                return numba.njit(**{"cache": True, "no_cfunc_wrapper": True, **settings})(function)
+            finally:
+                numba.config.CACHE_DIR = before
 
-    def wrap(function: Callable[..., Any]) -> Any:
-        return unpacking(function, compile_loop)
-
-    return wrap if by_fields and not numba.config.DISABLE_JIT else compile_loop
+    return compile_loop
 
 
 inner = partial(loop, no_cpython_wrapper=True)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Longs, Singles
 from ullage.kernels.loops import inner, loop
 
 LEAST_GAIN = 0.1  # amplitude against the sensor that faces the direction best; weaker sensors add noise only
@@ -33,7 +34,7 @@ class Aperture(NamedTuple):
 
 
 @inner(fastmath=True)
-def _delay(offset, unit, curvature):  # type: ignore[no-untyped-def]
+def _delay(offset: Floats, unit: Floats, curvature: float) -> float:
     """Range of a reflector less its range from the place [bin]."""
     along = offset[0] * unit[0] + offset[1] * unit[1] + offset[2] * unit[2]
     square = offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2
@@ -41,7 +42,7 @@ def _delay(offset, unit, curvature):  # type: ignore[no-untyped-def]
 
 
 @inner(fastmath=True)
-def _delay_level(offset, unit, cosine, curvature):  # type: ignore[no-untyped-def]
+def _delay_level(offset: Floats, unit: Floats, cosine: float, curvature: float) -> float:
     """The same of a reflector that bends in the vertical plane through its direction only, by its exact law [bin]."""
     along = (offset[0] * unit[0] + offset[1] * unit[1]) / cosine
     ahead = cosine - curvature * along
@@ -49,7 +50,7 @@ def _delay_level(offset, unit, cosine, curvature):  # type: ignore[no-untyped-de
 
 
 @inner(fastmath=True)
-def _range(offset, unit, cosine, curvature, lying):  # type: ignore[no-untyped-def]
+def _range(offset: Floats, unit: Floats, cosine: float, curvature: float, lying: float) -> float:
     """Range of a reflector of either kind less its range from the place [bin]."""
     if lying > 0 and cosine > 0:
         return _delay_level(offset, unit, cosine, curvature)
@@ -57,7 +58,7 @@ def _range(offset, unit, cosine, curvature, lying):  # type: ignore[no-untyped-d
 
 
 @inner(fastmath=True)
-def _gains(aperture, unit, out):  # type: ignore[no-untyped-def]
+def _gains(aperture: Aperture, unit: Floats, out: Floats) -> None:
     """Gain of each sensor in a direction, over that of the one that faces it best."""
     best = 1e-12
     for s in range(len(out)):
@@ -70,7 +71,7 @@ def _gains(aperture, unit, out):  # type: ignore[no-untyped-def]
 
 
 @inner(fastmath=True)
-def _expected_coherence(aperture, unit):  # type: ignore[no-untyped-def]
+def _expected_coherence(aperture: Aperture, unit: Floats) -> float:
     """Share of the energy that stays coherent over moments, under the errors of the positions in a direction."""
     variance = 0.0
     for i in range(3):
@@ -80,15 +81,15 @@ def _expected_coherence(aperture, unit):  # type: ignore[no-untyped-def]
 
 
 @inner(fastmath=True)
-def _square(aperture, real, imag):  # type: ignore[no-untyped-def]
+def _square(aperture: Aperture, real: float, imag: float) -> float:
     """Energy of a sum; sums of envelopes have no phase, and below zero they explain nothing."""
     if aperture.phase == 0 and real < 0:
-        return np.float32(0.0) * real
+        return np.float32(0.0) * real  # type: ignore[return-value]
     return real * real + imag * imag
 
 
 @inner(fastmath=True)
-def _cos_sin(angle):  # type: ignore[no-untyped-def]
+def _cos_sin(angle: float) -> tuple[float, float]:
     """Cosine and sine of an angle [rad] within 1e-6, by power series of its half: compilers can vectorise it."""
     turn = angle * (0.5 / math.pi)
     half = math.pi * (turn - math.floor(turn + 0.5))
@@ -110,7 +111,7 @@ class Turns(NamedTuple):
 
 
 @loop(fastmath=True)
-def turn_rows(aperture, curvature, start, stop, turns):  # type: ignore[no-untyped-def]
+def turn_rows(aperture: Aperture, curvature: float, start: int, stop: int, turns: Turns) -> None:
     """Fill in the rows of some directions.
 
     Args:
@@ -127,7 +128,7 @@ def turn_rows(aperture, curvature, start, stop, turns):  # type: ignore[no-untyp
 
 
 @inner(fastmath=True)
-def _turn_rows(aperture, gain, curvature, d, turns):  # type: ignore[no-untyped-def]
+def _turn_rows(aperture: Aperture, gain: Floats, curvature: float, d: int, turns: Turns) -> None:
     """Fill in the rows of one direction, at a gain of each sensor."""
     unit = turns.directions[d]
     n, total = 0, 0.0
@@ -147,7 +148,9 @@ def _turn_rows(aperture, gain, curvature, d, turns):  # type: ignore[no-untyped-
 
 
 @loop(fastmath=True)
-def sum_turned(aperture, turns, curvature, start, stop, low, high, out):  # type: ignore[no-untyped-def]
+def sum_turned(
+    aperture: Aperture, turns: Turns, curvature: float, start: int, stop: int, low: int, high: int, out: Singles
+) -> None:
     """Energy that one reflector in each direction and bin explains.
 
     The sum over rows of gain times sample, turned by the phase of the delay, squared, over the sum of squared gains.
@@ -216,7 +219,7 @@ def sum_turned(aperture, turns, curvature, start, stop, low, high, out):  # type
 
 
 @loop()
-def find_peaks(energy, low, high, peak, where):  # type: ignore[no-untyped-def]
+def find_peaks(energy: Singles, low: int, high: int, peak: Singles, where: Longs) -> None:
     """Largest energy of each bin.
 
     Args:
@@ -235,14 +238,18 @@ def find_peaks(energy, low, high, peak, where):  # type: ignore[no-untyped-def]
 
 
 @inner(fastmath=True)
-def _fit(aperture, unit, reflector, gain, sums, parts):  # type: ignore[no-untyped-def]
+def _fit(
+    aperture: Aperture, unit: Floats, reflector: Floats, gain: Floats, sums: Floats, parts: Floats
+) -> tuple[float, float]:
     """Energy that a reflector explains, and all energy along its range; `sums` takes the sum of each sensor."""
     _gains(aperture, unit, gain)
     return _fit_at(aperture, unit, reflector, gain, sums, parts)
 
 
 @inner(fastmath=True)
-def _fit_at(aperture, unit, reflector, gain, sums, parts):  # type: ignore[no-untyped-def]
+def _fit_at(
+    aperture: Aperture, unit: Floats, reflector: Floats | tuple[float, ...], gain: Floats, sums: Floats, parts: Floats
+) -> tuple[float, float]:
     """The same at a gain of each sensor."""
     samples = aperture.samples
     for s in range(len(gain)):
@@ -285,7 +292,7 @@ def _fit_at(aperture, unit, reflector, gain, sums, parts):  # type: ignore[no-un
 
 
 @inner()
-def _turn(cosine, bearing, unit):  # type: ignore[no-untyped-def]
+def _turn(cosine: float, bearing: float, unit: Floats) -> None:
     """Level part of the unit vector at a bearing [rad] and an elevation; straight up or down where the cosine is 0."""
     if cosine > 0:
         unit[0], unit[1], unit[2] = cosine * math.cos(bearing), cosine * math.sin(bearing), 0.0
@@ -294,7 +301,9 @@ def _turn(cosine, bearing, unit):  # type: ignore[no-untyped-def]
 
 
 @loop(fastmath=True)
-def refine(aperture, start, steps, most_curvature, sums, found):  # type: ignore[no-untyped-def]
+def refine(
+    aperture: Aperture, start: Floats, steps: Floats, most_curvature: float, sums: Floats, found: Floats
+) -> None:
     """Search for the reflector that explains most energy near a first estimate, one parameter at a time.
 
     Args:
@@ -348,7 +357,7 @@ def refine(aperture, start, steps, most_curvature, sums, found):  # type: ignore
 
 
 @loop(fastmath=True)
-def explain(aperture, directions, reflector, shares):  # type: ignore[no-untyped-def]
+def explain(aperture: Aperture, directions: Floats, reflector: Floats, shares: Floats) -> None:
     """Share of the energy that a reflector explains in each of some directions.
 
     Args:
@@ -368,7 +377,7 @@ def explain(aperture, directions, reflector, shares):  # type: ignore[no-untyped
 
 
 @loop(fastmath=True)
-def subtract(aperture, found, sums, pulse):  # type: ignore[no-untyped-def]
+def subtract(aperture: Aperture, found: Floats, sums: Floats, pulse: float) -> None:
     """Take a reflector out of the samples: each sensor's mean amplitude along it, times a Gaussian pulse.
 
     Args:

@@ -16,7 +16,7 @@ TOUCH_M = 1e-3  # small triangles so near are integrated as if they were so far 
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def eased(wave, path):  # type: ignore[no-untyped-def]
+def eased(wave: float, path: float) -> float:
     """What is left of 1 / path, as a factor, for a wave number."""
     x = 2 * wave * path
     if x > 30:
@@ -27,7 +27,7 @@ def eased(wave, path):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def spread(wave, path):  # type: ignore[no-untyped-def]
+def spread(wave: float, path: float) -> float:
     """What stands for 1 / path, at any path, 0 among them."""
     least = 0.5 / wave
     if path > 15 / wave:
@@ -37,7 +37,7 @@ def spread(wave, path):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def lifted(r, cosine):  # type: ignore[no-untyped-def]
+def lifted(r: float, cosine: float) -> tuple[float, float]:
     """Range and cosine of a point of a face at range r for a radar kept `TOUCH_M` off the face where that is near."""
     share = 1 - (0.1 * r / TOUCH_M) ** 2
     if share <= 0:
@@ -50,7 +50,7 @@ def lifted(r, cosine):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def height(ahead, behind):  # type: ignore[no-untyped-def]
+def height(ahead: float, behind: float) -> float:
     """Compute how far (at least `LEAST_M`) and on which side of a plane an antenna is, given both antennas."""
     if abs(ahead) >= LEAST_M:
         return ahead

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ullage.arrays import Complexes, Floats, Ints, Longs
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels.edges import FaceOutlines, Outline
 from ullage.kernels.facets import (
     EDGE,
@@ -64,8 +64,8 @@ class LineEcho(NamedTuple):
     bow: float  # as in `accumulate_line` [rad]
 
 
-@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def look_at(outline: Outline, normals, inward, spots: Spots, seats):  # type: ignore[no-untyped-def]
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def look_at(outline: Outline, normals: Floats, inward: float, spots: Spots, seats: Longs) -> int:
     """Find points on faces from which pieces and ends of outlines are seen, `inward` of them [m].
 
     An end from which a piece goes on is seen where that piece is.
@@ -109,7 +109,7 @@ def look_at(outline: Outline, normals, inward, spots: Spots, seats):  # type: ig
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _weight(rows, k, at, lit, face, tap):  # type: ignore[no-untyped-def]
+def _weight(rows: Floats, k: int, at: int, lit: LitFaces, face: int, tap: int) -> tuple[complex, float]:
     """Antenna gains times the reflection coefficient at the point rows[k, at : at + 3] of a face; cos(incidence)."""
     normals, antennas, origins = lit.normals, lit.antennas, lit.antennas.origins
     o = face if len(origins) > 1 else 0
@@ -137,7 +137,9 @@ def _weight(rows, k, at, lit, face, tap):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def accumulate_line(grids, w0, w1, x0, x1, bow, place0, place1):  # type: ignore[no-untyped-def]
+def accumulate_line(
+    grids: Complexes, w0: complex, w1: complex, x0: float, x1: float, bow: float, place0: float, place1: float
+) -> complex:
     """Add the echo of a line of unit measure, its amplitude linear and its phase nearly linear; give it at the carrier.
 
     Phases are those of the mean line; the true phase leads it by bow (4 s (1 - s) - 2 / 3) at share s, to first order.
@@ -164,7 +166,9 @@ def accumulate_line(grids, w0, w1, x0, x1, bow, place0, place1):  # type: ignore
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def accumulate_pulses(grids, pulse, lines, kind, line, late, mean):  # type: ignore[no-untyped-def]
+def accumulate_pulses(
+    grids: Complexes, pulse: PulseGrid, lines: bool, kind: int, line: LineEcho, late: float, mean: float
+) -> complex:
     """Add an echo to the delay grids wherever a pulse brings it, once each `pulse.fold_s`.
 
     Args:
@@ -195,7 +199,9 @@ def accumulate_pulses(grids, pulse, lines, kind, line, late, mean):  # type: ign
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _ends_of(echoes, k, follows, lit, tap, known):  # type: ignore[no-untyped-def]
+def _ends_of(
+    echoes: OutlineEchoes, k: int, follows: bool, lit: LitFaces, tap: int, known: KnownEnd
+) -> tuple[complex, complex, float]:
     """Weights of both ends of piece k of an outline, and the mean of cos(incidence) there.
 
     Where it `follows` the piece before, the weight of its start is kept in `known`, as that of its end is.
@@ -209,7 +215,7 @@ def _ends_of(echoes, k, follows, lit, tap, known):  # type: ignore[no-untyped-de
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _piece(pieces, k, w0, w1, scale, omega):  # type: ignore[no-untyped-def]
+def _piece(pieces: Floats, k: int, w0: complex, w1: complex, scale: complex, omega: float) -> LineEcho:
     """The echo of piece k of an outline, of which the weights of both ends are known."""
     wave = omega / C0
     w0 *= pieces[k, 8] * eased(wave, pieces[k, 6]) * pieces[k, 10] * scale
@@ -218,7 +224,9 @@ def _piece(pieces, k, w0, w1, scale, omega):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _tip(ends, i, scale, extra, tap, lit, face, wave):  # type: ignore[no-untyped-def]
+def _tip(
+    ends: Floats, i: int, scale: complex, extra: float, tap: int, lit: LitFaces, face: int, wave: float
+) -> tuple[LineEcho, float]:
     """The echo of an end of an outline or of a mirror point, and its additional delay [s]."""
     weight, cosine = _weight(ends, i, START, lit, face, tap)
     weight *= eased(wave, ends[i, 3]) * scale * complex(ends[i, 4], ends[i, 5])
@@ -226,10 +234,10 @@ def _tip(ends, i, scale, extra, tap, lit, face, wave):  # type: ignore[no-untype
     return LineEcho(weight, 0j, ends[i, 3] / C0, ends[i, 3] / C0, 0.0), late
 
 
-@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def accumulate_outlines(  # type: ignore[no-untyped-def]
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def accumulate_outlines(
     echoes: OutlineEchoes, lit: LitFaces, between: Transmission, pulse: PulseGrid, sums: EchoSums, known: KnownEnd
-):
+) -> None:
     """Add the echoes of faces to the delay grids: pieces of outlines, ends of outlines, and mirror points.
 
     Args:
@@ -274,7 +282,9 @@ def accumulate_outlines(  # type: ignore[no-untyped-def]
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def crossings(patches, windings, normals, offsets, origins, limits, points):  # type: ignore[no-untyped-def]
+def crossings(
+    patches: Longs, windings: Floats, normals: Floats, offsets: Floats, origins: Floats, limits: Floats, points: Floats
+) -> int:
     """Find where the lines from image to receiver cross the faces that hold them: (k, 9) rows as for ends of outlines.
 
     Those whose mean range lies beyond the face's limit are left out, as their outlines are.
@@ -310,8 +320,17 @@ def crossings(patches, windings, normals, offsets, origins, limits, points):  # 
     return count
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def look_about(points, which, faces: FaceOutlines, across, zone, wavelength, spots: Spots, within):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def look_about(
+    points: Floats,
+    which: Longs,
+    faces: FaceOutlines,
+    across: Floats,
+    zone: Floats,
+    wavelength: float,
+    spots: Spots,
+    within: Bools,
+) -> int:
     """Find the places about mirror points that lie on their faces.
 
     Args:
@@ -341,8 +360,16 @@ def look_about(points, which, faces: FaceOutlines, across, zone, wavelength, spo
     return row
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def through_sheets(transmission, extra, within, inner, between: Transmission, lit, bordered):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def through_sheets(
+    transmission: Complexes,
+    extra: Floats,
+    within: Bools,
+    inner: int,
+    between: Transmission,
+    lit: Bools,
+    bordered: Bools,
+) -> None:
     """Average what sheets let through over the lit places about mirror points, and find those near shadow borders.
 
     Args:
@@ -372,7 +399,7 @@ def through_sheets(transmission, extra, within, inner, between: Transmission, li
 
 
 @core(nogil=True, error_model="numpy")
-def held(point, p, normals, first, starts, ends):  # type: ignore[no-untyped-def]
+def held(point: Floats, p: int, normals: Floats, first: Ints, starts: Floats, ends: Floats) -> bool:
     """Whether a point lies within face p: a line from it crosses the outline an odd number of times."""
     ax, ay, az = abs(normals[p, 0]), abs(normals[p, 1]), abs(normals[p, 2])
     u, v = np.int64(0), np.int64(1)  # the two axes across which the face is largest
@@ -393,7 +420,7 @@ def held(point, p, normals, first, starts, ends):  # type: ignore[no-untyped-def
 
 
 @lean(nogil=True, error_model="numpy")
-def held_by(centres, axes, halves, origins, clear, out):  # type: ignore[no-untyped-def]
+def held_by(centres: Floats, axes: Floats, halves: Floats, origins: Floats, clear: float, out: Bools) -> None:
     """Find which boxes (m) hold which places (k, 3), or have them no farther outside than `clear` [m]: out (m, k)."""
     for i in range(len(out)):
         for s in range(len(origins)):
@@ -406,7 +433,7 @@ def held_by(centres, axes, halves, origins, clear, out):  # type: ignore[no-unty
 
 
 @lean(nogil=True, error_model="numpy")
-def hidden(outward, body, inside, origins, opaque, out):  # type: ignore[no-untyped-def]
+def hidden(outward: Floats, body: Ints, inside: Bools, origins: Floats, opaque: Bools, out: Bools) -> None:
     """Find the faces that turn their backs to all of some places outside their bodies.
 
     Args:
@@ -426,7 +453,9 @@ def hidden(outward, body, inside, origins, opaque, out):  # type: ignore[no-unty
 
 
 @lean(nogil=True, error_model="numpy")
-def limits(normals, offsets, spheres, origin, gate, far, out):  # type: ignore[no-untyped-def]
+def limits(
+    normals: Floats, offsets: Floats, spheres: Floats, origin: Floats, gate: float, far: float, out: Floats
+) -> None:
     """How far the echoes of faces (p) are followed [m]: to the gate, or `far` where they mirror a radar beyond it."""
     for i in range(len(out)):
         gap, beside = -offsets[i], 0.0

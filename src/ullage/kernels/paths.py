@@ -105,8 +105,16 @@ class FieldScratch(NamedTuple):
     waves: Complexes  # (2, 3)
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def lead(faces, antennas: Orientations, origins, flat: FlatFaces, extents: FaceExtents, out: Leads, box):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def lead(
+    faces: Longs,
+    antennas: Orientations,
+    origins: Floats,
+    flat: FlatFaces,
+    extents: FaceExtents,
+    out: Leads,
+    box: Floats,
+) -> None:
     """Find where paths (n) over mirrors lead: images of the antennas, and the beams that leave the mirrors' boxes.
 
     Args:
@@ -158,7 +166,7 @@ def lead(faces, antennas: Orientations, origins, flat: FlatFaces, extents: FaceE
 
 
 @core(nogil=True, error_model="numpy")
-def _box(axes, starts, begin, end, box):  # type: ignore[no-untyped-def]
+def _box(axes: Floats, starts: Floats, begin: int, end: int, box: Floats) -> None:
     """Write the least and greatest coordinates (2, 2) of the corners of an outline along two axes (2, 3)."""
     for a in range(2):
         box[a, 0], box[a, 1] = math.inf, -math.inf
@@ -168,7 +176,7 @@ def _box(axes, starts, begin, end, box):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _beam(apex, n, offset, axes, box, planes, made):  # type: ignore[no-untyped-def]
+def _beam(apex: Floats, n: Floats, offset: float, axes: Floats, box: Floats, planes: Floats, made: int) -> int:
     """Add the planes of the beam from an image through a box (2, 2) in its mirror; return how many there are then."""
     gap = n[0] * apex[0] + n[1] * apex[1] + n[2] * apex[2] - offset
     sign = -1.0 if gap > 0 else 1.0
@@ -195,7 +203,7 @@ def _beam(apex, n, offset, axes, box, planes, made):  # type: ignore[no-untyped-
 
 
 @core(nogil=True, error_model="numpy")
-def _stops(i, side, point, paths, flat, out):  # type: ignore[no-untyped-def]
+def _stops(i: int, side: int, point: Floats, paths: MirrorPaths, flat: FlatFaces, out: Floats) -> int:
     """Write the corners (4, 3) of one leg of path i to a point: antenna, at the mirrors, point.
 
     Returns:
@@ -226,8 +234,10 @@ def _stops(i, side, point, paths, flat, out):  # type: ignore[no-untyped-def]
     return count
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def corners(side, made, pairs: PathPoints, paths: MirrorPaths, flat: FlatFaces, legs: KnownLegs, segments: Segments):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def corners(
+    side: int, made: int, pairs: PathPoints, paths: MirrorPaths, flat: FlatFaces, legs: KnownLegs, segments: Segments
+) -> tuple[int, int, int]:
     """Find where one leg of each path meets its mirrors, and which segments must be free; each leg to a point once.
 
     Args:
@@ -270,7 +280,7 @@ def corners(side, made, pairs: PathPoints, paths: MirrorPaths, flat: FlatFaces, 
 
 
 @core(nogil=True, error_model="numpy")
-def _followed(stops, faces, field, mirrors, last, wave):  # type: ignore[no-untyped-def]
+def _followed(stops: Floats, faces: Longs, field: Floats, mirrors: Mirrors, last: Floats, wave: Complexes) -> float:
     """Compute the field of an antenna at the end of one leg (4, 3) over its mirrors (2).
 
     Args:
@@ -310,8 +320,10 @@ def _followed(stops, faces, field, mirrors, last, wave):  # type: ignore[no-unty
     return cover
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def weigh(pairs: Weighed, faces, fields, mirrors: Mirrors, scratch: FieldScratch, out):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def weigh(
+    pairs: Weighed, faces: Longs, fields: Floats, mirrors: Mirrors, scratch: FieldScratch, out: Complexes
+) -> None:
     """Compute the effect of the bounces of each path on a wave by polarisation; the point reflects as a mirror.
 
     Args:
@@ -339,10 +351,17 @@ def weigh(pairs: Weighed, faces, fields, mirrors: Mirrors, scratch: FieldScratch
         out[j] = cover * (there[0] * back[0] + there[1] * back[1] + there[2] * back[2])
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def meet_wires(  # type: ignore[no-untyped-def]
-    wires, paths: MirrorPaths, gate, fields, mirrors: Mirrors, flat: FlatFaces, met: WireMeetings, scratch: FieldScratch
-):
+@lean(nogil=True, error_model="numpy")
+def meet_wires(
+    wires: Floats,
+    paths: MirrorPaths,
+    gate: float,
+    fields: Floats,
+    mirrors: Mirrors,
+    flat: FlatFaces,
+    met: WireMeetings,
+    scratch: FieldScratch,
+) -> int:
     """Find the wires that each path reaches within the gate at its point of shortest path, and the field there.
 
     Args:
@@ -396,7 +415,7 @@ def meet_wires(  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _cross(a, b, out):  # type: ignore[no-untyped-def]
+def _cross(a: Floats, b: Floats, out: Floats) -> None:
     """Write the unit vector at right angles to two others."""
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     size = max(math.sqrt(x * x + y * y + z * z), 1e-12)

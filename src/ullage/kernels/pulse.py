@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from ullage.arrays import Complexes
 from ullage.kernels.loops import loop
 
 
 @loop(fastmath=True, nogil=True, error_model="numpy")
-def convolve(grids, taps, every, shift, out):  # type: ignore[no-untyped-def]
+def convolve(grids: Complexes, taps: Complexes, every: int, shift: int, out: Complexes) -> None:
     """Bins from delay grids: out[m] = sum over kinds and places of taps * grid, `every` places per bin.
 
     Args:

@@ -89,8 +89,8 @@ class RangeBins(NamedTuple):
     bin_m: float  # width of a bin [m]
 
 
-@lean(by_fields=True, nogil=True)
-def refine_faces(hits: EmbreeHits, rays: Rays, mesh: MeshFaces, nearest: NearestHits):  # type: ignore[no-untyped-def]
+@lean(nogil=True)
+def refine_faces(hits: EmbreeHits, rays: Rays, mesh: MeshFaces, nearest: NearestHits) -> None:
     """Put the hits of one body into `nearest` where they are nearer than what is there.
 
     The float32 distance `tfar` only chooses between the plane and itself: where the float64 distance of the plane is
@@ -125,7 +125,16 @@ def refine_faces(hits: EmbreeHits, rays: Rays, mesh: MeshFaces, nearest: Nearest
 
 
 @lean(nogil=True)
-def aim(starts, ends, centre, before, after, origin, ray, reach):  # type: ignore[no-untyped-def]
+def aim(
+    starts: Floats,
+    ends: Floats,
+    centre: Floats,
+    before: float,
+    after: float,
+    origin: Singles,
+    ray: Singles,
+    reach: Singles,
+) -> None:
     """Aim float32 rays about `centre` between points (1 or n, 3) and (n, 3), short of them by `before` and `after`."""
     for i in range(len(ends)):
         s = i if len(starts) > 1 else 0
@@ -142,8 +151,8 @@ def aim(starts, ends, centre, before, after, origin, ray, reach):  # type: ignor
             origin[i, 0], reach[i] = _NOWHERE, 0.0
 
 
-@lean(by_fields=True, nogil=True)
-def refine_wires(hits: EmbreeHits, rays: Rays, wires: RoundWires, nearest: NearestHits):  # type: ignore[no-untyped-def]
+@lean(nogil=True)
+def refine_wires(hits: EmbreeHits, rays: Rays, wires: RoundWires, nearest: NearestHits) -> None:
     """Put the hits of round wires into `nearest`: distance and normal are those of the cylinder, not of its prism.
 
     Args:
@@ -183,8 +192,10 @@ def refine_wires(hits: EmbreeHits, rays: Rays, wires: RoundWires, nearest: Neare
             nearest.cosine[i] = min(c, 1.0)
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def pass_transmissive(walk: SheetWalk, met: MetSheets, table: SheetTable, slack, last, factor, late):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def pass_transmissive(
+    walk: SheetWalk, met: MetSheets, table: SheetTable, slack: float, last: bool, factor: Complexes, late: Floats
+) -> int:
     """Take rays through the sheets that they meet next, and drop those that meet none before their points.
 
     Args:
@@ -223,7 +234,7 @@ def pass_transmissive(walk: SheetWalk, met: MetSheets, table: SheetTable, slack,
 
 
 @lean(nogil=True)
-def turn_fan(fan, rotation, out):  # type: ignore[no-untyped-def]
+def turn_fan(fan: Floats, rotation: Floats, out: Floats) -> None:
     """Turn the directions of a fan (m, 3) by n rotations (n, 3, 3); `out` (n, m, 3) gets them."""
     for f in range(len(rotation)):
         r = rotation[f]
@@ -233,8 +244,8 @@ def turn_fan(fan, rotation, out):  # type: ignore[no-untyped-def]
                 out[f, i, k] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z
 
 
-@lean(by_fields=True, nogil=True)
-def accumulate(hits: NearestHits, reflection, ranges: RangeBins, out):  # type: ignore[no-untyped-def]
+@lean(nogil=True)
+def accumulate(hits: NearestHits, reflection: Floats, ranges: RangeBins, out: Floats) -> None:
     """Sum I_m cos(theta) (|v| / far_m)^2 of rays into range bins.
 
     Args:
@@ -256,7 +267,7 @@ def accumulate(hits: NearestHits, reflection, ranges: RangeBins, out):  # type: 
 
 
 @lean(nogil=True)
-def smooth(values, weights, out):  # type: ignore[no-untyped-def]
+def smooth(values: Floats, weights: Floats, out: Floats) -> None:
     """Sum rows (n, b) over an odd, centred window with weights; beyond the ends all is zero."""
     half = len(weights) // 2
     rows, bins = values.shape

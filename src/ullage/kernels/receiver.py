@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 
+from ullage.arrays import Complexes
 from ullage.kernels.loops import lean
 
 
 @lean(nogil=True)
-def limit_envelope(values, limit):  # type: ignore[no-untyped-def]
+def limit_envelope(values: Complexes, limit: float) -> None:
     """Hard limiting of the carrier under a complex envelope (n, b), in place: what stays at the carrier frequency.
 
     The describing function of a limiter [GelbVanderVelde1968].

@@ -63,7 +63,7 @@ class FollowedMesh(NamedTuple):
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
-def _place(directions, i, a, reach, out):  # type: ignore[no-untyped-def]
+def _place(directions: Directions, i: int, a: int, reach: float, out: Floats) -> None:
     """The place (3) so far along direction a about mirror point i."""
     p, size = directions.faces[i], reach * directions.units[i]
     x, y = size * directions.turn[a, 0], size * directions.turn[a, 1]
@@ -71,8 +71,8 @@ def _place(directions, i, a, reach, out):  # type: ignore[no-untyped-def]
         out[k] = directions.middles[i, k] + x * directions.across[p, 0, k] + y * directions.across[p, 1, k]
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def sample(directions: Directions, faces: FaceOutlines, counts, out):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def sample(directions: Directions, faces: FaceOutlines, counts: Longs, out: Floats) -> int:
     """Find the places (m, 3) along all directions at which light is sampled, as far as the faces go.
 
     Args:
@@ -98,8 +98,8 @@ def sample(directions: Directions, faces: FaceOutlines, counts, out):  # type: i
     return row
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def changes(lit, counts, clear, reaches, most, cells: BorderCells):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def changes(lit: Bools, counts: Longs, clear: Bools, reaches: Floats, most: int, cells: BorderCells) -> int:
     """Find the cells in which light and shadow change, at most so many along each direction.
 
     Args:
@@ -130,8 +130,8 @@ def changes(lit, counts, clear, reaches, most, cells: BorderCells):  # type: ign
     return found
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def between(directions: Directions, cells: BorderCells, parts, out):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def between(directions: Directions, cells: BorderCells, parts: int, out: Floats) -> None:
     """Find the places (b (parts - 1), 3) that cut cells (b) into so many parts [m]."""
     for b in range(len(cells.low)):
         for j in range(1, parts):
@@ -139,8 +139,8 @@ def between(directions: Directions, cells: BorderCells, parts, out):  # type: ig
             _place(directions, cells.point[b], cells.direction[b], reach, out[b * (parts - 1) + j - 1])
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def narrow(clear, parts, cells: BorderCells):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def narrow(clear: Bools, parts: int, cells: BorderCells) -> None:
     """Narrow cells (b) to the part in which light changes first; `clear`: whether the places `between` are lit."""
     for b in range(len(cells.low)):
         step, j = (cells.high[b] - cells.low[b]) / parts, 0
@@ -150,8 +150,8 @@ def narrow(clear, parts, cells: BorderCells):  # type: ignore[no-untyped-def]
         cells.high[b] = cells.low[b] + step
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def dark_ends(directions: Directions, cells: BorderCells, eye, lines: ShadowLines, out):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def dark_ends(directions: Directions, cells: BorderCells, eye: Floats, lines: ShadowLines, out: Floats) -> None:
     """Find the dark ends (b, 3) of cells (b) [m], and the lines on which they lie.
 
     Args:
@@ -173,7 +173,7 @@ def dark_ends(directions: Directions, cells: BorderCells, eye, lines: ShadowLine
 
 
 @core(nogil=True, error_model="numpy")
-def _shadow_end(corners, eye, lines, b, scratch):  # type: ignore[no-untyped-def]
+def _shadow_end(corners: Floats, eye: Floats, lines: ShadowLines, b: int, scratch: Floats) -> tuple[float, int, float]:
     """Find where on line b the shadow of a triangle stops on its lit side.
 
     Returns:
@@ -207,7 +207,7 @@ def _shadow_end(corners, eye, lines, b, scratch):  # type: ignore[no-untyped-def
 
 
 @core(nogil=True, error_model="numpy")
-def _hit(corners, eye, ray):  # type: ignore[no-untyped-def]
+def _hit(corners: Floats, eye: Floats, ray: Floats) -> float:
     """How far off a triangle's plane is along a ray, over the ray's length."""
     above, passed = 0.0, 0.0
     for k in range(3):
@@ -219,8 +219,10 @@ def _hit(corners, eye, ray):  # type: ignore[no-untyped-def]
     return above / passed
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def follow(mesh: FollowedMesh, faces, eye, rays, lines: ShadowLines, ends: ShadowEnds, scratch):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def follow(
+    mesh: FollowedMesh, faces: Longs, eye: Floats, rays: Floats, lines: ShadowLines, ends: ShadowEnds, scratch: Floats
+) -> None:
     """Follow surfaces from the triangles that rays hit to where their shadows stop, if nothing was hit nearer before.
 
     The triangle that a ray hits first depends on rounding where two adjoin; where their common shadow stops does not.
@@ -261,7 +263,7 @@ def follow(mesh: FollowedMesh, faces, eye, rays, lines: ShadowLines, ends: Shado
 
 
 @core(nogil=True, error_model="numpy")
-def _normal_to(ends, b, directions, i, out):  # type: ignore[no-untyped-def]
+def _normal_to(ends: ShadowEnds, b: int, directions: Directions, i: int, out: Floats) -> None:
     """Unit normal (2) to the shadow of an edge, along the first direction and across it."""
     p, x, y, edge = directions.faces[i], 0.0, 0.0, ends.edges[b]
     for k in range(3):
@@ -272,8 +274,8 @@ def _normal_to(ends, b, directions, i, out):  # type: ignore[no-untyped-def]
     out[0], out[1] = (x * cosine + y * sine) / size, (y * cosine - x * sine) / size
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def place_borders(directions: Directions, cells: BorderCells, ends: ShadowEnds, borders: ShadowBorders):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def place_borders(directions: Directions, cells: BorderCells, ends: ShadowEnds, borders: ShadowBorders) -> None:
     """Place borders within their cells: where the surface that hides the dark side stops to hide, else in the middle.
 
     Args:

@@ -6,7 +6,7 @@ import cmath
 import math
 from typing import NamedTuple
 
-from ullage.arrays import Bools, Floats, Longs
+from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.kernels.facets import turned
 from ullage.kernels.loops import core, lean
 
@@ -55,7 +55,7 @@ STEADY = 6.0
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
-def _fading(phase, least, last):  # type: ignore[no-untyped-def]
+def _fading(phase: float, least: float, last: float) -> float:
     """1 up to a phase, smoothly down to 0 at another."""
     if phase <= least:
         return 1.0
@@ -66,7 +66,7 @@ def _fading(phase, least, last):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
-def _fresnel(t):  # type: ignore[no-untyped-def]
+def _fresnel(t: float) -> complex:
     """C(t) - j S(t) to 0.002 [AbramowitzStegun1964, 7.3.32]."""
     x = min(abs(t), 1e4)  # beyond, `turned` is not exact
     f, g = (1 + 0.926 * x) / (2 + 1.792 * x + 3.104 * x * x), 1 / (2 + 4.142 * x + 3.492 * x * x + 6.670 * x**3)
@@ -75,7 +75,7 @@ def _fresnel(t):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _along(line, ratio, fading, rules):  # type: ignore[no-untyped-def]
+def _along(line: Floats, ratio: float, fading: Fading, rules: Rules) -> complex:
     """Integral of e^{-j ratio reach^2} over the angle along a line as `_lines` gives it."""
     gap, foot, begin, end = line[2], line[3], line[4], line[5]
     begin, end = max(begin, foot - 0.5 * math.pi), min(end, foot + 0.5 * math.pi)
@@ -97,7 +97,7 @@ def _along(line, ratio, fading, rules):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _bound(a, b, ratio, fading, rules):  # type: ignore[no-untyped-def]
+def _bound(a: float, b: float, ratio: float, fading: Fading, rules: Rules) -> complex:
     """What two parallel edges, one on each pass, add because the places of both passes correlate [Plackett1954].
 
     Integral over the correlation, from none to `ratio`; a and b: distances of the edges, 1 where the phase is 1 rad.
@@ -117,7 +117,7 @@ def _bound(a, b, ratio, fading, rules):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
-def _line(x0, y0, x1, y1, out):  # type: ignore[no-untyped-def]
+def _line(x0: float, y0: float, x1: float, y1: float, out: Floats) -> None:
     """Unit normal (away from the middle), distance and foot's angle of a line through two points."""
     ex, ey = x1 - x0, y1 - y0
     length = max(math.sqrt(ex * ex + ey * ey), 1e-12)
@@ -128,7 +128,7 @@ def _line(x0, y0, x1, y1, out):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
-def _goes_on(borders, i, a, b, m):  # type: ignore[no-untyped-def]
+def _goes_on(borders: ShadowBorders, i: int, a: int, b: int, m: int) -> bool:
     """Whether border m along direction a is border m along direction b too: those of a rod's two sides are not."""
     if m >= borders.counts[i, b]:
         return False
@@ -137,7 +137,7 @@ def _goes_on(borders, i, a, b, m):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _lines(borders, i, lines):  # type: ignore[no-untyped-def]
+def _lines(borders: ShadowBorders, i: int, lines: Floats) -> None:
     """Straight lines (n, m, 6) of all borders about mirror point i: as `_line`, then the angles where each ends."""
     counts, reach = borders.counts[i], borders.reach[i]
     many = len(counts)
@@ -164,13 +164,13 @@ def _lines(borders, i, lines):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
-def _beyond(line, angle):  # type: ignore[no-untyped-def]
+def _beyond(line: Floats, angle: float) -> float:
     """Share of a step that a line continues beyond its last crossing: half, or all where it may be far off."""
     return 1.0 if math.cos(angle - line[3]) < max(SLOPE, line[2] / FAR) else 0.5
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
-def _run(line, ratio):  # type: ignore[no-untyped-def]
+def _run(line: Floats, ratio: float) -> complex:
     """Fresnel's integral along a line between its angles: 1 for all of it."""
     root = math.sqrt(2 * ratio / math.pi) * line[2]
     least, last = line[3] - 0.5 * math.pi + 1e-9, line[3] + 0.5 * math.pi - 1e-9
@@ -179,7 +179,7 @@ def _run(line, ratio):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _paired(borders, i, a, m, lines, fading, rules):  # type: ignore[no-untyped-def]
+def _paired(borders: ShadowBorders, i: int, a: int, m: int, lines: Floats, fading: Fading, rules: Rules) -> complex:
     """What border m along direction a adds with itself and with the other borders along its line through the middle."""
     many = borders.counts.shape[1]
     line, ratio, step = lines[a, m], borders.ratios[i, a, m], 2 * math.pi / many
@@ -199,8 +199,8 @@ def _paired(borders, i, a, m, lines, fading, rules):  # type: ignore[no-untyped-
     return both * _run(line, ratio)
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def echo_shares(borders: ShadowBorders, fading: Fading, rules: Rules, lines, out):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def echo_shares(borders: ShadowBorders, fading: Fading, rules: Rules, lines: Floats, out: Complexes) -> None:
     """Find what part of the echoes of mirror points is left by what stands before their faces, there and back.
 
     Args:

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats, Singles
 from ullage.kernels.loops import inner, loop
-from ullage.kernels.surface_cells import BODY_M
+from ullage.kernels.surface_cells import BODY_M, Plane
 
 NEAR_BINS = 2  # about the range of a cell: half its diagonal
 LEAST_NATS, MOST_NATS = -2.0, 4.0  # that one keyframe may say, since an obstacle may be weaker than its law
@@ -30,14 +31,14 @@ class Residual(NamedTuple):
 
 
 @inner()
-def _log_ratio(energy, clutter, expected):  # type: ignore[no-untyped-def]
+def _log_ratio(energy: float, clutter: float, expected: float) -> float:
     """Log-likelihood of an energy without an obstacle over that with one; both are exponential [Kay1998]."""
     both = clutter + expected
     return math.log(both / clutter) - energy * (1 / clutter - 1 / both)
 
 
 @inner()
-def _received(residual, d, far):  # type: ignore[no-untyped-def]
+def _received(residual: Residual, d: int, far: float) -> tuple[int, float]:
     """Bin of a range, and the most energy about it; -1 where nothing there would be received."""
     k, near = round((far - residual.start_m) / residual.bin_m), residual.near
     if k < residual.low + near or k >= residual.high - near:
@@ -49,7 +50,7 @@ def _received(residual, d, far):  # type: ignore[no-untyped-def]
 
 
 @loop()
-def hear(residual, noise, step_m, out):  # type: ignore[no-untyped-def]
+def hear(residual: Residual, noise: float, step_m: float, out: Singles) -> None:
     """Set how far a mirror, seen square in a direction and at a range, would exceed all that was received there.
 
     Args:
@@ -68,7 +69,9 @@ def hear(residual, noise, step_m, out):  # type: ignore[no-untyped-def]
 
 
 @loop()
-def listen(plane, place, residual, radius_m, defocus_m, weight, out):  # type: ignore[no-untyped-def]
+def listen(
+    plane: Plane, place: Floats, residual: Residual, radius_m: float, defocus_m: float, weight: float, out: Floats
+) -> None:
     """Add to each cell the evidence of one keyframe that no upright pole stands there.
 
     Args:
@@ -129,7 +132,7 @@ class Walls(NamedTuple):
 
 
 @inner()
-def _is_seen(plane, sight, i, dx, dy, far):  # type: ignore[no-untyped-def]
+def _is_seen(plane: Plane, sight: Sight, i: int, dx: float, dy: float, far: float) -> bool:
     """Whether nothing ends the line from a place."""
     steps = int(far / (0.5 * plane.step))
     for j in range(int(BODY_M / (0.5 * plane.step)), steps):
@@ -142,7 +145,7 @@ def _is_seen(plane, sight, i, dx, dy, far):  # type: ignore[no-untyped-def]
 
 
 @inner()
-def _set_normals(plane, walls, cell, seen):  # type: ignore[no-untyped-def]
+def _set_normals(plane: Plane, walls: Walls, cell: int, seen: Bools) -> None:
     """Set the normals of surfaces that would have been seen square from one of several places, in one cell."""
     sight, normals = walls.sight, len(seen)
     seen[:] = False
@@ -168,7 +171,7 @@ def _set_normals(plane, walls, cell, seen):  # type: ignore[no-untyped-def]
 
 
 @inner()
-def _is_received(plane, walls, cell, which, seen):  # type: ignore[no-untyped-def]
+def _is_received(plane: Plane, walls: Walls, cell: int, which: int, seen: Bools) -> bool:
     """Whether a surface through a cell would have been received, to one side of it or the other."""
     first, steps = walls.continuations.first, walls.continuations.steps
     here, there = cell // plane.columns, cell % plane.columns
@@ -188,7 +191,7 @@ def _is_received(plane, walls, cell, which, seen):  # type: ignore[no-untyped-de
 
 
 @loop()
-def exclude(plane, walls, out):  # type: ignore[no-untyped-def]
+def exclude(plane: Plane, walls: Walls, out: Bools) -> None:
     """Drop the cells through which a surface may go.
 
     A surface goes on from a cell to both sides. Where it may neither end nor go on, it does not stand there.

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats
 from ullage.kernels.loops import inner, loop
 
 BEFORE_M = 0.1  # an echo is not hidden by what lies this near before it
@@ -39,7 +40,7 @@ class Plane(NamedTuple):
 
 
 @inner()
-def _cell(plane, x, y):  # type: ignore[no-untyped-def]
+def _cell(plane: Plane, x: float, y: float) -> int:
     """Flat index of the cell that holds a point, or -1."""
     column, row = math.floor((x - plane.x) / plane.step), math.floor((y - plane.y) / plane.step)
     if column < 0 or row < 0 or column >= plane.columns or row >= plane.rows:
@@ -48,7 +49,7 @@ def _cell(plane, x, y):  # type: ignore[no-untyped-def]
 
 
 @inner()
-def _point(views, k, y):  # type: ignore[no-untyped-def]
+def _point(views: Views, k: int, y: float) -> tuple[float, float]:
     """Point of a surface at a distance `y` along it from the specular point, on a circle."""
     c, s = math.cos(views.state[k, 1]), math.sin(views.state[k, 1])
     turn, aside, deep = y * views.bend[k], y, 0.0
@@ -59,7 +60,7 @@ def _point(views, k, y):  # type: ignore[no-untyped-def]
 
 
 @loop()
-def draw_surfaces(plane, views, alive, evidence, level):  # type: ignore[no-untyped-def]
+def draw_surfaces(plane: Plane, views: Views, alive: Bools, evidence: Floats, level: Floats) -> None:
     """Add the evidence of each echo to the cells that it shows, once a cell.
 
     Args:
@@ -85,7 +86,7 @@ def draw_surfaces(plane, views, alive, evidence, level):  # type: ignore[no-unty
 
 
 @loop()
-def find_hidden(plane, views, evidence, level, least, alive):  # type: ignore[no-untyped-def]
+def find_hidden(plane: Plane, views: Views, evidence: Floats, level: Floats, least: float, alive: Bools) -> None:
     """Drop echoes whose path crosses a surface that is surer than theirs and reflects at least as much.
 
     Args:
@@ -112,7 +113,16 @@ def find_hidden(plane, views, evidence, level, least, alive):  # type: ignore[no
 
 
 @loop()
-def find_crossed(plane, views, evidence, level, least, alive, widening, crossed):  # type: ignore[no-untyped-def]
+def find_crossed(
+    plane: Plane,
+    views: Views,
+    evidence: Floats,
+    level: Floats,
+    least: float,
+    alive: Bools,
+    widening: float,
+    crossed: Floats,
+) -> None:
     """Add up the weights of the echoes that came through each cell, though a surface fills their tube there.
 
     Such an echo contradicts an opaque surface in the plane. Only echoes stronger than the surface count, since a
@@ -162,14 +172,14 @@ class Tubes(NamedTuple):
 
 
 @inner()
-def _half(views, tubes, k, far):  # type: ignore[no-untyped-def]
+def _half(views: Views, tubes: Tubes, k: int, far: float) -> float:
     """Half width of a tube at a distance, less what the error of its bearing may shift it."""
     zone = math.sqrt(0.5 * tubes.wavelength_m * far * abs(1 - views.state[k, 2] * far))
     return tubes.width[k] * zone - tubes.doubt[k] * far
 
 
 @loop()
-def draw_tubes(plane, views, tubes, ends, extension, free):  # type: ignore[no-untyped-def]
+def draw_tubes(plane: Plane, views: Views, tubes: Tubes, ends: Bools, extension: Floats, free: Bools) -> None:
     """Mark the parts of cells between each place and its specular point.
 
     A tube consists of rays side by side. Each ray ends at the first surface that it meets: no echo came through it. It
@@ -212,7 +222,7 @@ def draw_tubes(plane, views, tubes, ends, extension, free):  # type: ignore[no-u
 
 
 @loop()
-def draw_extensions(plane, views, alive, extension_m, out):  # type: ignore[no-untyped-def]
+def draw_extensions(plane: Plane, views: Views, alive: Bools, extension_m: float, out: Floats) -> None:
     """Mark the cells in which surfaces may go on to both sides of what was seen.
 
     Args:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 
+from ullage.arrays import Complexes, Floats
 from ullage.kernels.loops import core
 
 
 @core(nogil=True, error_model="numpy")
-def dot(a, b):  # type: ignore[no-untyped-def]
+def dot(a: Floats | Complexes, b: Floats) -> complex:
     """Compute the scalar product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @core(nogil=True, error_model="numpy")
-def unit_to(a, b, out):  # type: ignore[no-untyped-def]
+def unit_to(a: Floats, b: Floats, out: Floats) -> float:
     """Write the unit vector from one point to another to `out`; return their distance."""
     size = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
     for k in range(3):
@@ -23,7 +24,7 @@ def unit_to(a, b, out):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def field_across(field, direction, out):  # type: ignore[no-untyped-def]
+def field_across(field: Floats, direction: Floats, out: Floats) -> None:
     """Write the unit field across a direction of travel to `out`."""
     along = field[0] * direction[0] + field[1] * direction[1] + field[2] * direction[2]
     square = 0.0
@@ -35,7 +36,7 @@ def field_across(field, direction, out):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def mirrored(n, vector):  # type: ignore[no-untyped-def]
+def mirrored(n: Floats, vector: Floats) -> None:
     """Replace a vector by its image in a plane with unit normal n."""
     twice = 2 * (n[0] * vector[0] + n[1] * vector[1] + n[2] * vector[2])
     for k in range(3):
@@ -43,7 +44,7 @@ def mirrored(n, vector):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def onto(centre, axis, radius, is_sphere, point, normal):  # type: ignore[no-untyped-def]
+def onto(centre: Floats, axis: Floats, radius: float, is_sphere: bool, point: Floats, normal: Floats) -> None:
     """Move a point (3) to a body's surface, cylinders without ends; write its outward normal (3) to `normal`."""
     along = 0.0
     if not is_sphere:

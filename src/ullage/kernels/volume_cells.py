@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats, Ints
 from ullage.kernels.directed_sums import pattern_gain
 from ullage.kernels.loops import inner, loop
 
@@ -59,7 +60,7 @@ class Silence(NamedTuple):
 
 
 @inner()
-def _cell(box, x, y, z):  # type: ignore[no-untyped-def]
+def _cell(box: Box, x: float, y: float, z: float) -> int:
     """Flat index of the cell that holds a point, or -1."""
     i = math.floor((z - box.z) / box.step)
     j = math.floor((y - box.y) / box.step)
@@ -70,7 +71,7 @@ def _cell(box, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @inner()
-def _at(box, views, k, far, a, b):  # type: ignore[no-untyped-def]
+def _at(box: Box, views: SpatialViews, k: int, far: float, a: float, b: float) -> int:
     """Cell at a distance along the direction of an echo, and at two distances across it."""
     p, u, f = views.position[k], views.unit[k], views.frame[k]
     return _cell(
@@ -82,7 +83,9 @@ def _at(box, views, k, far, a, b):  # type: ignore[no-untyped-def]
 
 
 @loop()
-def draw_discs(box, views, alive, widening, evidence, level, mark):  # type: ignore[no-untyped-def]
+def draw_discs(
+    box: Box, views: SpatialViews, alive: Bools, widening: float, evidence: Floats, level: Floats, mark: Ints
+) -> None:
     """Add the evidence of each echo to the cells that it shows, once a cell.
 
     Args:
@@ -114,7 +117,7 @@ def draw_discs(box, views, alive, widening, evidence, level, mark):  # type: ign
 
 
 @inner()
-def _strand(j, half):  # type: ignore[no-untyped-def]
+def _strand(j: int, half: float) -> tuple[float, float]:
     """Distances of a ray across the middle of a path."""
     if j == 0:
         return 0.0, 0.0
@@ -123,7 +126,9 @@ def _strand(j, half):  # type: ignore[no-untyped-def]
 
 
 @inner()
-def _blocked(box, views, evidence, level, k, bound, own, zone, j):  # type: ignore[no-untyped-def]
+def _blocked(
+    box: Box, views: SpatialViews, evidence: Floats, level: Floats, k: int, bound: float, own: int, zone: float, j: int
+) -> bool:
     """Whether one ray of a path crosses a surface that reflects at least as much."""
     range_m = views.range_m[k]
     for i in range(8, int((range_m - BEFORE_M) / (0.25 * box.step))):
@@ -136,7 +141,9 @@ def _blocked(box, views, evidence, level, k, bound, own, zone, j):  # type: igno
 
 
 @loop()
-def find_hidden(box, views, evidence, level, least, zone, alive):  # type: ignore[no-untyped-def]
+def find_hidden(
+    box: Box, views: SpatialViews, evidence: Floats, level: Floats, least: float, zone: Floats, alive: Bools
+) -> None:
     """Drop echoes whose path a surface blocks that is surer than theirs and reflects at least as much.
 
     Args:
@@ -160,7 +167,16 @@ def find_hidden(box, views, evidence, level, least, zone, alive):  # type: ignor
 
 
 @loop()
-def find_crossed(box, views, evidence, level, least, alive, tube, crossed):  # type: ignore[no-untyped-def]
+def find_crossed(
+    box: Box,
+    views: SpatialViews,
+    evidence: Floats,
+    level: Floats,
+    least: float,
+    alive: Bools,
+    tube: float,
+    crossed: Floats,
+) -> None:
     """Add up the weights of the echoes that came through each cell, though a surface fills their path there.
 
     Such an echo contradicts an opaque surface. Only echoes stronger than the surface count, since a weaker one may be
@@ -203,7 +219,7 @@ def find_crossed(box, views, evidence, level, least, alive, tube, crossed):  # t
 
 
 @inner()
-def _cube_cell(x, y, z):  # type: ignore[no-untyped-def]
+def _cube_cell(x: float, y: float, z: float) -> tuple[int, int, int]:
     """Face and cells of a direction on the cube of directions."""
     size = max(abs(x), abs(y), abs(z), 1e-12)
     if abs(x) >= abs(y) and abs(x) >= abs(z):
@@ -217,7 +233,7 @@ def _cube_cell(x, y, z):  # type: ignore[no-untyped-def]
 
 
 @inner()
-def _power(silence, k, unit):  # type: ignore[no-untyped-def]
+def _power(silence: Silence, k: int, unit: Floats) -> float:
     """Two-way power gain in a direction, summed over the frames of a keyframe."""
     power = 0.0
     for s in range(len(silence.cubes)):
@@ -226,7 +242,7 @@ def _power(silence, k, unit):  # type: ignore[no-untyped-def]
 
 
 @inner()
-def _listen(box, silence, k, occupied, view):  # type: ignore[no-untyped-def]
+def _listen(box: Box, silence: Silence, k: int, occupied: Bools, view: NDArray[np.uint8]) -> None:
     """Set what one keyframe sees at each step of range, by direction of the cube (6, SIDE, SIDE, b)."""
     unit, steps = np.empty(3), silence.masked.shape[1]
     p = silence.position[k]
@@ -263,7 +279,9 @@ def _listen(box, silence, k, occupied, view):  # type: ignore[no-untyped-def]
 
 
 @loop()
-def count_silence(box, lattice, silence, normals, occupied, looks, reach_m):  # type: ignore[no-untyped-def]
+def count_silence(
+    box: Box, lattice: Box, silence: Silence, normals: Floats, occupied: Bools, looks: Ints, reach_m: Floats
+) -> None:
     """Count the keyframes that would have received an occluder in each cell, and did not.
 
     Args:

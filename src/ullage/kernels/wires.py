@@ -26,7 +26,16 @@ class WirePieces(NamedTuple):
 
 
 @loop(fastmath=True, nogil=True, error_model="numpy")
-def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner):  # type: ignore[no-untyped-def]
+def cut_wires(
+    starts: Floats,
+    ends: Floats,
+    origins: Floats,
+    gate: Floats,
+    kappa_lambda: float,
+    reach: float,
+    pieces: Floats,
+    owner: Ints,
+) -> int:
     """Halve each wire within the gate until the delay along each piece is nearly linear.
 
     Args:
@@ -87,7 +96,9 @@ def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner): 
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _element(pieces, k, end, axis, antennas, o, wave, out):  # type: ignore[no-untyped-def]
+def _element(
+    pieces: WirePieces, k: int, end: int, axis: Floats, antennas: Antennas, o: int, wave: float, out: Floats
+) -> complex:
     """Complex strength per length at an end of piece k, seen by radar o.
 
     The path length [m] and its bend along the wire [1/m] go to `out`.
@@ -121,8 +132,10 @@ def _element(pieces, k, end, axis, antennas, o, wave, out):  # type: ignore[no-u
     return g * (share * tm + (1 - share) * te)
 
 
-@loop(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
-def accumulate_wires(pieces: WirePieces, between: Transmission, antennas: Antennas, pulse: PulseGrid, sums: EchoSums):  # type: ignore[no-untyped-def]
+@loop(fastmath=True, nogil=True, error_model="numpy")
+def accumulate_wires(
+    pieces: WirePieces, between: Transmission, antennas: Antennas, pulse: PulseGrid, sums: EchoSums
+) -> None:
     """Add the echoes of pieces of wire to the delay grids.
 
     Args:

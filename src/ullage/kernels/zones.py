@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ullage.arrays import Floats, Longs
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels.facets import Antennas, toward
 from ullage.kernels.loops import core, lean
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
-def _lengths(place, image, receiver, normal, offset):  # type: ignore[no-untyped-def]
+def _lengths(
+    place: Floats, image: Floats, receiver: Floats, normal: Floats, offset: float
+) -> tuple[float, float, float]:
     """Both legs of a path from its last image over a place (3) to the receiver, and the path over a mirror [m]."""
     there, back, twice, straight = 0.0, 0.0, -2 * offset, 0.0
     for k in range(3):
@@ -24,7 +26,7 @@ def _lengths(place, image, receiver, normal, offset):  # type: ignore[no-untyped
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
-def _sent(path, out):  # type: ignore[no-untyped-def]
+def _sent(path: Floats, out: Floats) -> None:
     """Unit vector in which a path (5, 3) leaves the transmitter. Over one mirror its first two corners are the same."""
     first, gone = 1, 0.0
     for k in range(3):
@@ -62,8 +64,17 @@ class Strengths(NamedTuple):
     axes: Floats  # (b, 2, 3) of its Fresnel zone, in the plane of incidence and across it, to where the phase is 1 [m]
 
 
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def strengths(paths, ends: BeamEnds, faces: FacePlanes, factor, antennas: Antennas, wave, found: Strengths, units):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def strengths(
+    paths: Floats,
+    ends: BeamEnds,
+    faces: FacePlanes,
+    factor: Complexes,
+    antennas: Antennas,
+    wave: float,
+    found: Strengths,
+    units: Floats,
+) -> None:
     """Find how strong paths would be if nothing stood in their way and faces had no ends, and the axes of their zones.
 
     Args:
@@ -104,7 +115,9 @@ def strengths(paths, ends: BeamEnds, faces: FacePlanes, factor, antennas: Antenn
 
 
 @lean(nogil=True, error_model="numpy")
-def outline(lit, axes, which, first, edges, turn, last, out):  # type: ignore[no-untyped-def]
+def outline(
+    lit: Floats, axes: Floats, which: Longs, first: Ints, edges: Floats, turn: Floats, last: float, out: Floats
+) -> None:
     """Phase (k, rays) at which each ray from a mirror point leaves the face's lit part, at most `last` [rad].
 
     Args:
@@ -139,7 +152,7 @@ def outline(lit, axes, which, first, edges, turn, last, out):  # type: ignore[no
 
 
 @lean(nogil=True, error_model="numpy")
-def places(lit, axes, ends, turn, last, asked, out):  # type: ignore[no-untyped-def]
+def places(lit: Floats, axes: Floats, ends: Floats, turn: Floats, last: float, asked: Floats, out: Floats) -> None:
     """Where to ask about zones (k): along each ray in the middles of cells of like shares of the fading weight.
 
     Args:
@@ -166,7 +179,7 @@ def places(lit, axes, ends, turn, last, asked, out):  # type: ignore[no-untyped-
 
 
 @core(nogil=True, error_model="numpy")
-def _summed(phase, last):  # type: ignore[no-untyped-def]
+def _summed(phase: float, last: float) -> complex:
     """What a direction counts as far as a phase, the weight fading until `last`."""
     real, imag = -1 / last, 1 - phase / last
     cosine, sine = math.cos(phase), -math.sin(phase)
@@ -174,7 +187,7 @@ def _summed(phase, last):  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True, error_model="numpy")
-def whole(ends, last, out):  # type: ignore[no-untyped-def]
+def whole(ends: Floats, last: float, out: Complexes) -> None:
     """What rays (k, rays) that end at these phases count together (k) if all is free."""
     for i in range(len(ends)):
         total = 0j
@@ -184,7 +197,7 @@ def whole(ends, last, out):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _between(one, other, share, step):  # type: ignore[no-untyped-def]
+def _between(one: float, other: float, share: float, step: float) -> float:
     """Phase at which a line that crosses two rays at these phases crosses one between them."""
     first, second = math.sin((1 - share) * step), math.sin(share * step)
     place = math.sin(step) / (first / math.sqrt(max(one, 1e-12)) + second / math.sqrt(max(other, 1e-12)))
@@ -192,7 +205,7 @@ def _between(one, other, share, step):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _turns(free, borders, out):  # type: ignore[no-untyped-def]
+def _turns(free: Bools, borders: Floats, out: Floats) -> int:
     """Phases at which light and shadow change along a ray of cells, and how many there are."""
     count = 0
     for c in range(1, len(free)):
@@ -203,7 +216,9 @@ def _turns(free, borders, out):  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True, error_model="numpy")
-def parts(free, borders, ends, last, turns, counts, out):  # type: ignore[no-untyped-def]
+def parts(
+    free: Bools, borders: Floats, ends: Floats, last: float, turns: Floats, counts: Longs, out: Complexes
+) -> None:
     """What part (k) of each zone is free. Borders of shadow run straight from one ray that was followed to the next.
 
     Args:

@@ -14,11 +14,11 @@ from typing import overload
 
 import numpy as np
 
-from ullage import checks, kernels
+from ullage import checks
 from ullage.data import Frames, Samples, Trajectory, gathered
 from ullage.errors import InputError
 from ullage.radar.receiving import Fidelity, Receiving
-from ullage.radar.warmup import warming_up
+from ullage.radar.warmup import warm_up
 from ullage.radar.worker_pool import PAYS_S, WorkerPool, cores
 from ullage.specs import RadarSpec, Rig
 from ullage.world.scene import Scene
@@ -80,11 +80,10 @@ def simulate(
     Raises:
         InputError: an argument cannot be used.
     """
-    with kernels.telling(), warming_up(fidelity) as compile_for:
-        pieces = simulate_stream(scene, path, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed,
-                                 believed=believed, progress=progress)  # fmt: skip
-        compile_for(max_bounces, scene)
-        whole = gathered(pieces)
+    pieces = simulate_stream(scene, path, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed,
+                             believed=believed, progress=progress)  # fmt: skip
+    warm_up(fidelity, max_bounces, scene)
+    whole = gathered(pieces)
     return whole if isinstance(radar, Rig) else next(iter(whole.values()))
 
 
