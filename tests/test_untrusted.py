@@ -27,7 +27,14 @@ BROKEN = HERE.parents[1] / "shared" / "data" / "broken"
 sys.path.insert(0, str(HERE / "fuzz"))
 import readers as fuzzed  # noqa: E402  # the inputs of the fuzzer
 
-HARMLESS = {"OverflowError@grids.py:115.m.ply"}  # a sound map with one point far outside its grid: a warning
+HARMLESS = {
+    "OverflowError@grids.py:115.m.ply",  # a sound map with one point far outside its grid: a warning
+    # all twelve frames are sound; what is damaged is a topic that neither frames nor a map need
+    "AnyReaderError@ports_ros2_bags.py:142.b1.bag",
+    "CorruptError@ports_ros2_bags.py:137.bagdb.db3",
+    "SerdeError@ports_messages.py:124.b1.bag",
+    "SerdeError@ports_messages.py:124.bagdb.db3",
+}
 
 
 def read_all(files: list[tuple[str, Path]], tmp_path: Path) -> list[dict[str, Any]]:

@@ -331,7 +331,7 @@ def _read_options(path: Path) -> None:
 
 def _read_address(path: Path) -> None:
     """The options of a live port, as far as they are read before anything is connected."""
-    from ullage.ports.imc.options import SourceOptions, endpoint, options_of
+    from ullage.ports.imc.options import SourceOptions, endpoint, numbers_of, options_of
     from ullage.ports.live import Address
 
     address = Address.of(path.read_bytes().decode("utf-8", "replace"))
@@ -339,7 +339,7 @@ def _read_address(path: Path) -> None:
         raise ul.InputError("no address", where=path.name)
     endpoint(address.place)
     options = options_of(SourceOptions, address.options)
-    options.waypoints(), options.place(), options.place_of_start()
+    options.waypoints(), options.place(), numbers_of(options.start, "start", (3, 4))
 
 
 def _read_motive(path: Path) -> None:
