@@ -127,7 +127,8 @@ def test_coarse_and_constant_samples_are_not_called_saturated(tmp_path: Path) ->
     for k, samples in enumerate((np.rint(rng.normal(size=(N, 400)).cumsum(axis=1) / 9), np.ones((N, 400)))):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            opened(write(tmp_path / f"{k}.npz", samples=samples, **axis))
+            frames = opened(write(tmp_path / f"{k}.npz", samples=samples, **axis))
+        np.testing.assert_array_equal(frames.samples, samples)
 
 
 def test_real_samples_of_no_known_radar_ask_for_it(tmp_path: Path) -> None:

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from ullage.processing.mapper_bows import Hollow, bow_of, hollow_of, lines_of
-from ullage.processing.mapper_echoes import Traced
+from ullage.processing.mapper_echoes import Echo
 
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def echoes_of(at: np.ndarray, reach: np.ndarray) -> list[Traced]:
+def echoes_of(at: np.ndarray, reach: np.ndarray) -> list[Echo]:
     track = np.gradient(at, axis=0)
     track /= np.linalg.norm(track, axis=1)[:, None]
-    return [Traced(j, at[j], track[j], reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(len(at))]
+    return [Echo(j, at[j], track[j], reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(len(at))]
 
 
 def straight(middle, way, half_m: float = 0.6) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 from ullage.kernels.rolls import AHEAD, LEG, WIDE
 from ullage.processing import mapper_legs
 from ullage.processing.mapper_bows import Hollow, bow_of
-from ullage.processing.mapper_echoes import Traced
+from ullage.processing.mapper_echoes import Echo
 from ullage.processing.mapper_hollows import Hollows, _by_place, _share_heard
 from ullage.processing.mapper_legs import Legs, bends_of, bowed_row, stretch_of
 from ullage.processing.mapper_rings import weigh
@@ -32,9 +32,7 @@ def heard(legs: Legs, path: np.ndarray, distance, rng, *, ahead=ABEAM, told=None
     track /= np.linalg.norm(track, axis=1)[:, None]
     out = [] if told is None else told
     for k in range(0, len(path) - 12, 13):
-        echoes = [
-            Traced(j, path[j], track[j], reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(k, min(k + 13, len(path)))
-        ]
+        echoes = [Echo(j, path[j], track[j], reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(k, min(k + 13, len(path)))]
         legs.add(echoes, echoes, ahead, LEAST, 2.0)
         out += legs.tell(2)
     return out
@@ -104,7 +102,7 @@ def fly_in_tank(legs: Legs, path: np.ndarray, side: float, rng) -> list:
     way = side * path * [1, 1, 0] / away[:, None]
     reach = 3.2 - side * away + rng.normal(0, 0.002, len(path))
     cosine = np.sum(way * track, axis=1) + rng.normal(0, 0.01, len(path))
-    echoes = [Traced(j, path[j], track[j], reach[j], cosine[j], 1e-3, 0.02, 0.9) for j in range(len(path))]
+    echoes = [Echo(j, path[j], track[j], reach[j], cosine[j], 1e-3, 0.02, 0.9) for j in range(len(path))]
     told = []
     for k in range(0, len(path) - 12, 13):
         legs.add(echoes[k : k + 13], echoes[max(k - 13, 0) : k + 13], way[k + 6], LEAST, 2.0)
@@ -164,7 +162,7 @@ def tank_stretch(at, way, number: int, more_m: float = 0.0) -> np.ndarray:
     """A level stretch (22) that hears the wall of a round tank of 3.2 m in some way, or what is so much farther off."""
     at = np.asarray(at) + np.linspace(-0.6, 0.6, 25)[:, None] * [1.0, 0, 0]
     reach = 3.2 + more_m - np.sign(way[1] * at[12, 1]) * np.hypot(at[:, 0], at[:, 1])
-    echoes = [Traced(j, at[j], np.array([1.0, 0, 0]), reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(25)]
+    echoes = [Echo(j, at[j], np.array([1.0, 0, 0]), reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(25)]
     row = stretch_of(echoes[8:17])
     row[LEG], row[AHEAD : AHEAD + 3], row[WIDE] = number, way, LEAST
     return bowed_row(row, bow_of(echoes))
@@ -225,7 +223,7 @@ def test_an_edge_flown_at_makes_no_wall_once_a_leg_hears_it_from_the_side(slope_
 def test_the_bend_of_an_edge_is_one_and_that_of_a_wall_nothing():
     at = leg((-0.4, 0, 0), (0.4, 0, 0.2))
     for reach, bend in ((1.5 - at[:, 1], 0.0), (np.hypot(at[:, 0], at[:, 1] - 1.5), 1.0)):
-        echoes = [Traced(j, at[j], at[1] - at[0], reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(len(at))]
+        echoes = [Echo(j, at[j], at[1] - at[0], reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(len(at))]
         assert bends_of(echoes, ABEAM[None], stretch_of(echoes))[0] == pytest.approx(bend, abs=0.08)
 
 
@@ -233,13 +231,13 @@ def test_what_scatters_or_is_not_believed_is_no_stretch():
     at = leg((-0.4, 0, 0), (0.4, 0, 0))
     rough = np.random.default_rng(7).normal(0, 0.05, len(at))
     for reach, trust in ((2.0 + rough, 0.9), (np.full(len(at), 2.0), 0.1)):
-        assert stretch_of([Traced(j, at[j], at[1], reach[j], 0, 1e-3, 0.02, trust) for j in range(len(at))]) is None
+        assert stretch_of([Echo(j, at[j], at[1], reach[j], 0, 1e-3, 0.02, trust) for j in range(len(at))]) is None
 
 
 @pytest.mark.parametrize(("known", "waits"), [(0, True), (6, True), (7, False)])
 def test_a_stretch_of_which_less_than_half_is_known_waits_to_be_told(known, waits):
     path, legs = leg((-0.31, 0, 0), (0.31, 0, 0)), Legs()
-    echoes = [Traced(j, at, np.array([1.0, 0, 0]), 2.0, 0.0, 1e-3, 0.02, 0.9, way=ABEAM if j < known else None)
+    echoes = [Echo(j, at, np.array([1.0, 0, 0]), 2.0, 0.0, 1e-3, 0.02, 0.9, way=ABEAM if j < known else None)
               for j, at in enumerate(path)]  # fmt: skip
     assert len(echoes) == 12
     legs.add(echoes, echoes, ABEAM, LEAST, 2.0)
@@ -262,7 +260,7 @@ def test_what_is_heard_past_a_nearer_wall_came_by_that_wall(near_db, near_slope,
     path, legs = leg((-0.3, 0, 0), (0.3, 0, 0)), Legs()
     track = np.array([1.0, 0, 0])
     for reach, level, slope in ((2.0, near_db, near_slope), (5.0, 0.0, 0.0)):
-        echoes = [Traced(j, at, track, reach - slope * at[0], slope, 1e-3, 0.02, 0.9, ABEAM, level_db=level)
+        echoes = [Echo(j, at, track, reach - slope * at[0], slope, 1e-3, 0.02, 0.9, ABEAM, level_db=level)
                   for j, at in enumerate(path)]  # fmt: skip
         legs.add(echoes, echoes, ABEAM, LEAST, 2.0)
     assert not legs._behind(0, ABEAM), "the nearer one"
@@ -280,7 +278,7 @@ def test_what_is_heard_from_where_floor_and_wall_meet_is_no_wall_behind_it(wall_
     floor = np.array([0.0, 0.0, -1.0])
     for reach in (down, np.full(len(path), 1.6), np.hypot(down, abeam)):
         fall = -np.gradient(reach) / np.linalg.norm(path[1] - path[0])
-        echoes = [Traced(j, at, track, reach[j], fall[j], 1e-3, 0.02, 0.9, ABEAM, way=floor if reach is down else None)
+        echoes = [Echo(j, at, track, reach[j], fall[j], 1e-3, 0.02, 0.9, ABEAM, way=floor if reach is down else None)
                   for j, at in enumerate(path)]  # fmt: skip
         legs.add(echoes, echoes, ABEAM, LEAST, 2.0)
         found.append(legs._in_corner(len(found)))
@@ -291,7 +289,7 @@ def test_a_floor_is_not_the_wall_of_its_own_corner():
     """On a level leg 1.1 m over a floor a wall at 1.1 m times the root of two is as a corner of two such floors."""
     path, legs, found = leg((-0.3, 0, 0), (0.3, 0, 0)), Legs(), []
     for reach, way in ((1.1, np.array([0.0, 0.0, -1.0])), (1.1 * np.sqrt(2), None)):
-        echoes = [Traced(j, at, np.array([1.0, 0, 0]), reach, 0.0, 1e-3, 0.02, 0.9, ABEAM, way=way)
+        echoes = [Echo(j, at, np.array([1.0, 0, 0]), reach, 0.0, 1e-3, 0.02, 0.9, ABEAM, way=way)
                   for j, at in enumerate(path)]  # fmt: skip
         legs.add(echoes, echoes, ABEAM, LEAST, 2.0)
         found.append(legs._in_corner(len(found)))
@@ -308,7 +306,7 @@ def test_a_bent_wall_is_known_on_round_from_where_it_was_last_known(turns_deg, k
         places = 1.4 * way + np.linspace(-0.3, 0.3, 13)[:, None] * track
         away = np.linalg.norm(places, axis=1)
         fall = np.sum(places * track, axis=1) / away
-        echoes = [Traced(j, places[j], track, 3.0 - away[j], fall[j], 1e-3, 0.02, 0.9, way) for j in range(13)]
+        echoes = [Echo(j, places[j], track, 3.0 - away[j], fall[j], 1e-3, 0.02, 0.9, way) for j in range(13)]
         row = stretch_of(echoes)
         row[AHEAD : AHEAD + 3], row[WIDE] = way, LEAST
         found = hollows.known(row, echoes, lambda _: False)

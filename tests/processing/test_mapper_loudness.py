@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import fresnel
 
-from ullage.processing.mapper_echoes import Traced
+from ullage.processing.mapper_echoes import Echo
 from ullage.processing.mapper_legs import Legs
 from ullage.processing.mapper_loudness import facing_db, fallen, level_db, too_faint
 
@@ -15,11 +15,11 @@ BORESIGHT_DBI, WAVE_M = 6.0, 0.041
 PERMITTIVITY = {"ceiling board": 1.48, "wood": 1.99, "plasterboard": 2.73, "concrete": 5.24}  # [ITU-R-P2040]
 
 
-def echoes_of(db: float, *, range_m: float = 3.0, count: int = 9) -> list[Traced]:
+def echoes_of(db: float, *, range_m: float = 3.0, count: int = 9) -> list[Echo]:
     """Echoes that lie so far under those of a perfect mirror on boresight."""
     x = np.array([1.0, 0, 0])
     return [
-        Traced(j, 0.05 * j * x, x, range_m, 0.0, 1e-3, 0.02, 0.9, AHEAD, level_db=db + 2 * BORESIGHT_DBI)
+        Echo(j, 0.05 * j * x, x, range_m, 0.0, 1e-3, 0.02, 0.9, AHEAD, level_db=db + 2 * BORESIGHT_DBI)
         for j in range(count)
     ]
 
@@ -63,7 +63,7 @@ def test_past_its_focus_a_hollow_wall_is_louder_than_a_flat_one():
 def test_nothing_is_too_faint_where_no_level_is_known():
     assert level_db(1e-9, np.inf) == np.inf
     assert level_db(1e-3, 1e-3) == pytest.approx(0.0)
-    plain = [Traced(j, np.zeros(3), AHEAD, 3.0, 0.0, 1e-9, 0.02, 0.9, AHEAD) for j in range(5)]
+    plain = [Echo(j, np.zeros(3), AHEAD, 3.0, 0.0, 1e-9, 0.02, 0.9, AHEAD) for j in range(5)]
     assert not too_faint(plain, AHEAD)
 
 
@@ -75,7 +75,7 @@ def test_legs_tell_no_wall_of_what_is_too_faint(db, told):
         reach = 3.0 + rng.normal(0, 0.004, len(at))
         for k in range(0, 65, 13):
             echoes = [
-                Traced(j, at[j], np.array([1.0, 0, 0]), reach[j], 0.0, 1e-3, 0.02, 0.9, AHEAD, level_db=db + 12.0)
+                Echo(j, at[j], np.array([1.0, 0, 0]), reach[j], 0.0, 1e-3, 0.02, 0.9, AHEAD, level_db=db + 12.0)
                 for j in range(k, k + 13)
             ]
             legs.add(echoes, echoes, AHEAD, LEAST, 2.0)
@@ -83,14 +83,14 @@ def test_legs_tell_no_wall_of_what_is_too_faint(db, told):
     assert bool(out) is told
 
 
-def half_plane(beyond_m: np.ndarray, range_m: float) -> list[Traced]:
+def half_plane(beyond_m: np.ndarray, range_m: float) -> list[Echo]:
     """Echoes off a mirror that ends where it is flown past, so far from the feet [m]: Cornu's spiral [BornWolf1999]."""
     v = -2 * beyond_m / np.sqrt(WAVE_M * range_m)
     sine, cosine = fresnel(v)
     level = 20 * np.log10(np.abs((0.5 + cosine) + 1j * (0.5 + sine)) / np.sqrt(2)) + 2 * BORESIGHT_DBI
     x = np.array([1.0, 0, 0])
     return [
-        Traced(j, at * x, x, range_m, 0.0, 1e-3, 0.02, 0.9, AHEAD, level_db=float(level[j]))
+        Echo(j, at * x, x, range_m, 0.0, 1e-3, 0.02, 0.9, AHEAD, level_db=float(level[j]))
         for j, at in enumerate(beyond_m)
     ]
 

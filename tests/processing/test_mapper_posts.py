@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ullage.kernels.rolls import AHEAD, COLUMNS, COSINE, LEG, NORMAL, PLACE, RANGE, TRACK, WIDE
-from ullage.processing.mapper_echoes import Foot, Traced
+from ullage.processing.mapper_echoes import Echo, SpecularPoint
 from ullage.processing.mapper_legs import Legs
 from ullage.processing.mapper_posts import along_post, post_of
 
@@ -105,7 +105,7 @@ def test_legs_tell_a_post_once_and_draw_it_upright():
             if (gap @ inward[:2] < LEAST * np.linalg.norm(gap, axis=1)).any():
                 continue
             reach = np.linalg.norm(gap, axis=1) - 0.15 + rng.normal(0, 0.002, 13)
-            echoes = [Traced(j, some[j], way, reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(13)]
+            echoes = [Echo(j, some[j], way, reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(13)]
             legs.add(echoes, echoes, inward, LEAST, 2.0)
             told += legs.tell(4)
     told += legs.tell_all()
@@ -116,7 +116,7 @@ def test_legs_tell_a_post_once_and_draw_it_upright():
         assert axis == pytest.approx([0, 0, 1])
         feet = np.array([e.position + e.range_m * w for e, w in zip(echoes, ways, strict=True)])
         assert np.linalg.norm(feet[:, :2] - centre, axis=1) == pytest.approx(0.15, abs=0.03)
-    foot = Foot(posts[0][0][0], posts[0][1][0], False, 2.0, np.inf, posts[0][2])
+    foot = SpecularPoint(posts[0][0][0], posts[0][1][0], False, 2.0, np.inf, posts[0][2])
     drawn = along_post(foot, 0.25, 0.1)
     assert drawn[:, 2] - foot.at[2] == pytest.approx([-0.2, -0.1, 0.0, 0.1, 0.2])
-    assert along_post(Foot(foot.echo, foot.way, True), 0.25, 0.1) == pytest.approx(foot.at[None])
+    assert along_post(SpecularPoint(foot.echo, foot.way, True), 0.25, 0.1) == pytest.approx(foot.at[None])

@@ -11,7 +11,7 @@ from scipy.special import fresnel
 import ullage as ul
 from ullage.antenna import boresight_pattern
 from ullage.processing.inverse_sensor import least_cosine, mirror_m
-from ullage.processing.mapper_echoes import Traced
+from ullage.processing.mapper_echoes import Echo
 from ullage.processing.mapper_looks import Heard, Look
 from ullage.processing.mapper_screens import BEYOND_M, SHADE_SLOPE, screens_of
 from ullage.processing.mapper_tracks import EchoTracks, normal_of, post_of
@@ -25,15 +25,15 @@ def waving(count: int = 40, *, rise_m: float = 0.3, step_m: float = 0.05) -> np.
     return np.column_stack([x, 0 * x, rise_m * np.sin(2.5 * x)])
 
 
-def traced(at: np.ndarray, reach: np.ndarray, rng: np.random.Generator) -> list[Traced]:
+def traced(at: np.ndarray, reach: np.ndarray, rng: np.random.Generator) -> list[Echo]:
     track = np.gradient(at, axis=0)
     track /= np.linalg.norm(track, axis=1)[:, None]
     cosine = -np.gradient(reach) / np.linalg.norm(np.gradient(at, axis=0), axis=1)
     cosine = cosine + rng.normal(0, 0.02, len(at))
-    return [Traced(10**8 * i, at[i], track[i], reach[i], cosine[i], 1e-3, 0.02, 0.9) for i in range(len(at))]
+    return [Echo(10**8 * i, at[i], track[i], reach[i], cosine[i], 1e-3, 0.02, 0.9) for i in range(len(at))]
 
 
-def off_wall(normal, distance: float, at: np.ndarray, rng) -> list[Traced]:
+def off_wall(normal, distance: float, at: np.ndarray, rng) -> list[Echo]:
     return traced(at, distance - at @ np.asarray(normal, float) + rng.normal(0, 0.004, len(at)), rng)
 
 
@@ -204,7 +204,7 @@ def test_the_screens_of_a_tanks_wall_lie_nowhere_far_behind_it():
     """A plane that touches a hollow wall at the foot leaves it beside that: silence there would free the wall."""
     at = np.column_stack([np.linspace(-0.6, 0.6, 25), np.full(25, 1.3), np.zeros(25)])
     away = np.hypot(at[:, 0], at[:, 1])
-    echoes = [Traced(j, at[j], np.array([1.0, 0, 0]), 3.2 - away[j], 0.0, 1e-3, 0.02, 0.9) for j in range(25)]
+    echoes = [Echo(j, at[j], np.array([1.0, 0, 0]), 3.2 - away[j], 0.0, 1e-3, 0.02, 0.9) for j in range(25)]
     screens = screens_of(echoes, AHEAD, LEAST)
     turn = np.radians(90 + np.arange(-45, 46, 5))
     wall = 3.2 * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))])

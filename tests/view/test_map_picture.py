@@ -89,5 +89,10 @@ def test_a_map_without_walls_is_drawn_without_a_warning(tmp_path: Path) -> None:
     omap = ul.OccupancyMap(grid, np.full(grid.shape, -1, np.int8))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        figures.map_figure(tmp_path / "map.png", omap, title="nothing")
-        figures.image_figure(tmp_path / "image.png", ul.Image(grid, np.ones(grid.shape, np.complex64)), title="flat")
+        drawn = [
+            figures.map_figure(tmp_path / "map.png", omap, title="nothing"),
+            figures.image_figure(
+                tmp_path / "image.png", ul.Image(grid, np.ones(grid.shape, np.complex64)), title="flat"
+            ),
+        ]
+    assert all(np.ptp(imread(path)) > 0.5 for path in drawn)

@@ -70,13 +70,13 @@ def _map(method: MapMethod) -> None:
 
 def _join_legs() -> None:
     """Run the kernels that a volume needs after several straight segments have detected a wall."""
-    from ullage.processing.mapper_echoes import Traced
+    from ullage.processing.mapper_echoes import Echo
     from ullage.processing.mapper_legs import LEAST_ECHOES, Legs
 
     legs, along, abeam = Legs(), np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
     for height in (0.0, 0.5, 1.0):
         places = [np.array([0.05 * k, 0, height]) for k in range(LEAST_ECHOES)]
-        echoes = [Traced(k, at, along, 2.0, 0.0, 1e-3, 0.02, 1.0) for k, at in enumerate(places)]
+        echoes = [Echo(k, at, along, 2.0, 0.0, 1e-3, 0.02, 1.0) for k, at in enumerate(places)]
         legs.add(echoes, echoes, abeam, 0.5, 2.0)
     deque(legs.tell_all(), maxlen=0)
 

@@ -25,7 +25,7 @@ from ullage.processing.elfes import ElfesMapper
 from ullage.processing.inverse_sensor import heard_deg, loudest_wall_m, mirror_m, rim_mirror_m
 from ullage.processing.mapper_beyond import Zones, cell_of, without_behind, without_beyond
 from ullage.processing.mapper_door import in_order, plane_of, radius_of_vehicle
-from ullage.processing.mapper_echoes import Foot, Traced
+from ullage.processing.mapper_echoes import Echo, SpecularPoint
 from ullage.processing.mapper_ends import without_ends
 from ullage.processing.mapper_folds import Fold, alike, is_hidden
 from ullage.processing.mapper_levels import RETURNING, LevelFinder
@@ -284,7 +284,7 @@ class UllageMapper:
                 out[k] = rim_along(near(run, look), lit[0][:2], self._wavelength_m, pattern)
         return out
 
-    def _may_be_folded(self, name: str, echo: Traced, way: Floats) -> bool:
+    def _may_be_folded(self, name: str, echo: Echo, way: Floats) -> bool:
         """The same in a volume, of an echo whose direction is known."""
         fold, told, usual = self._folds[name], (echo.range_m, echo.height), self._judge.usual
         ways = alike(way, echo.track)
@@ -312,7 +312,7 @@ class UllageMapper:
                 gain = share * np.log((1 - arc[9]) / arc[9]) * half / np.hypot(half, blur)
                 self.blocks.lay(beam.eye + arc[0] * way, way, (float(arc[1]), float(half), float(gain)))
 
-    def _lay_disc(self, foot: Foot) -> None:
+    def _lay_disc(self, foot: SpecularPoint) -> None:
         """The same in a volume, for an echo whose direction its track told, out to where an edge would still show.
 
         A straight edge at the rim of the second Fresnel zone still changes the echo by 0.7 dB (knife edge); a wall

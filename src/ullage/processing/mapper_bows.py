@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ullage.arrays import Bools, Floats, Longs
-from ullage.processing.mapper_echoes import Traced
+from ullage.processing.mapper_echoes import Echo
 
 STRAIGHT = float(np.cos(np.radians(35.0)))
 LEAST_ECHOES, LEAST_LONG_M, LEAST_SCATTER_M, OFF_M, MOST_MORE = 8, 0.45, 0.003, 0.01, 0.3
@@ -100,12 +100,12 @@ class Hollow:
         return np.column_stack([normal, np.sum(normal * foot, axis=1), foot])
 
 
-def own_share(share: float, echoes: list[Traced]) -> float:
+def own_share(share: float, echoes: list[Echo]) -> float:
     """Share of what echoes say that is each one's own, from that of a dense flight: looks far apart share no frames."""
     return min(share * sum(e.looks for e in echoes) / len(echoes), 1.0)
 
 
-def bow_of(echoes: list[Traced]) -> Bow | None:
+def bow_of(echoes: list[Echo]) -> Bow | None:
     """The bow of the last straight stretch of one reflector's echoes; None where that is too short."""
     echoes = [e for e in echoes if abs(e.track @ echoes[-1].track) > STRAIGHT]
     if len(echoes) < FEWEST or sum(e.looks for e in echoes) < LEAST_ECHOES:

@@ -9,7 +9,7 @@ import numpy as np
 from ullage.arrays import Floats
 from ullage.kernels.rolls import AHEAD, LEG, PLACE, TRACK, TURNED, WIDE
 from ullage.processing.mapper_bows import Bow, Hollow, hollow_of, lines_of
-from ullage.processing.mapper_echoes import Traced
+from ullage.processing.mapper_echoes import Echo
 from ullage.processing.mapper_loudness import too_faint
 from ullage.processing.mapper_rings import EDGE_BETTER, about, beam_odds, cone, is_edge, one_side, weigh
 
@@ -35,7 +35,7 @@ class Hollows:
         self._planes: list[Floats] = []
 
     def tell(
-        self, bow: Bow, me: Floats, others: Floats, echoes: list[Traced], behind: Callable[[Floats], bool]
+        self, bow: Bow, me: Floats, others: Floats, echoes: list[Echo], behind: Callable[[Floats], bool]
     ) -> tuple[Hollow, Floats] | None:
         """The bent wall of a stretch's echoes and the way (3) to it, if other legs leave but one side of its ring.
 
@@ -111,7 +111,7 @@ class Hollows:
         return np.concatenate([np.zeros((0, 8)), *self._planes])
 
     def known(
-        self, me: Floats, echoes: list[Traced], behind: Callable[[Floats], bool], *, whole: bool = False
+        self, me: Floats, echoes: list[Echo], behind: Callable[[Floats], bool], *, whole: bool = False
     ) -> tuple[Hollow, Floats] | None:
         """A wall known from other stretches that ranges and cosines of a stretch (22) fit, and the way (3) to it."""
         places, track = np.array([e.position for e in echoes]), np.array([e.track for e in echoes])

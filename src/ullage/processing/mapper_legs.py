@@ -33,7 +33,7 @@ from ullage.kernels.rolls import (
 )  # fmt: skip
 from ullage.processing.mapper_barrels import barrel_of
 from ullage.processing.mapper_bows import Bow, Hollow, bow_of
-from ullage.processing.mapper_echoes import Traced
+from ullage.processing.mapper_echoes import Echo
 from ullage.processing.mapper_hollows import Hollows, Piece
 from ullage.processing.mapper_loudness import too_faint
 from ullage.processing.mapper_posts import LEAST_LEGS as FEWEST_LEGS
@@ -56,7 +56,7 @@ MOST_STRETCHES = 2048
 EDGE_BEND = 0.5  # bend of ranges, as a share of that of an edge or pole
 LEAST_BOW_M = 0.008  # root of the sum of squares of what an edge would bow: less is not heard
 MORE_LEGS = 1.5  # than when ranges alone were last asked
-Told = tuple[list["Traced"], Floats, float, float, "Floats | None"]
+Told = tuple[list["Echo"], Floats, float, float, "Floats | None"]
 
 
 class Legs:
@@ -67,7 +67,7 @@ class Legs:
         self._rows = np.zeros((MOST_STRETCHES, COLUMNS))
         self._bowed = np.zeros((MOST_STRETCHES, COLUMNS))  # the same, with the bow of their ranges where it is known
         self._bends = np.zeros((MOST_STRETCHES, ROLLS), np.float32)
-        self._kept: list[tuple[list[Traced], float]] = [([], 0.0)] * MOST_STRETCHES
+        self._kept: list[tuple[list[Echo], float]] = [([], 0.0)] * MOST_STRETCHES
         self._bows: list[Bow | None] = [None] * MOST_STRETCHES
         self._added = 0
         self._waiting: dict[int, None] = {}
@@ -95,7 +95,7 @@ class Legs:
         """Planes (p, 8) that touch the bent walls told so far, as walls that are known."""
         return self._hollows.planes
 
-    def add(self, echoes: list[Traced], lately: list[Traced], ahead: Floats, least: float, rim: float) -> None:
+    def add(self, echoes: list[Echo], lately: list[Echo], ahead: Floats, least: float, rim: float) -> None:
         """Take in a stretch of one reflector's echoes; those around it that are open wait to be judged anew.
 
         Args:
@@ -324,7 +324,7 @@ class Legs:
         )
 
 
-def stretch_of(echoes: list[Traced]) -> Floats | None:
+def stretch_of(echoes: list[Echo]) -> Floats | None:
     """What is kept of a stretch (COLUMNS): its middle, its way, range and fall of range; None where these scatter."""
     if np.mean([e.trust for e in echoes]) < LEAST_TRUST:
         return None
@@ -362,7 +362,7 @@ def _on_line(row: Floats, line: Floats) -> bool:
     return bool(abs(row[TRACK : TRACK + 3] @ track) > LEG_TURN and aside @ aside < LEG_WIDE_M**2)
 
 
-def bends_of(echoes: list[Traced], ways: Floats, row: Floats) -> Floats:
+def bends_of(echoes: list[Echo], ways: Floats, row: Floats) -> Floats:
     """How far ranges bow from those of a flat wall in each way (w): 0; an edge or a pole has 1.
 
     The near side of a round tank has less than 0, its far side, past the focus, more than 1.

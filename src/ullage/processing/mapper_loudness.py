@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from ullage.arrays import Bools, Floats
-from ullage.processing.mapper_echoes import Traced
+from ullage.processing.mapper_echoes import Echo
 
 FAINTEST_DB, FOCUS_DB = -24.0, 10.0  # between the faintest wall and the strongest edge; a focus is no sharper
 EDGE_DB, NEAR_ZONES = 6.0, 2.0  # at an edge under what is beside it; how far beside, so that other walls do not count
@@ -29,7 +29,7 @@ def level_db(strength_m: float, mirror_m: float) -> float:
     return 20 * math.log10(max(strength_m, 1e-30) / mirror_m) if math.isfinite(mirror_m) else math.inf
 
 
-def too_faint(echoes: list[Traced], way: Floats, radius_m: float = math.inf) -> bool:
+def too_faint(echoes: list[Echo], way: Floats, radius_m: float = math.inf) -> bool:
     """Whether the echoes of one reflector are fainter than those of any wall in a way (3) would be.
 
     A hollow wall of radius R focuses: at range r its echo is that of a flat one times |1 - r / R| to the power -1/2.
@@ -43,7 +43,7 @@ def too_faint(echoes: list[Traced], way: Floats, radius_m: float = math.inf) -> 
     return bool(np.median([e.level_db for e in echoes]) < wall)
 
 
-def facing_db(echo: Traced, way: Floats) -> float:
+def facing_db(echo: Echo, way: Floats) -> float:
     """Level of an echo against a perfect mirror's in a way (3) [dB]; not a number where that is not known."""
     off = angle_off(echo, way)
     if off > echo.pattern.main_lobe_rad or not math.isfinite(echo.level_db):
@@ -51,12 +51,12 @@ def facing_db(echo: Traced, way: Floats) -> float:
     return echo.level_db - 2 * float(echo.pattern.gain_dbi(off))
 
 
-def angle_off(echo: Traced, direction: Floats) -> float:
+def angle_off(echo: Echo, direction: Floats) -> float:
     """Angle of a direction (3) off the boresight that an echo was received with [rad]."""
     return math.acos(min(max(float(direction @ echo.ahead), -1.0), 1.0))
 
 
-def fallen(feet: list[Traced], echoes: list[Traced], way: Floats, zone: float) -> Bools:
+def fallen(feet: list[Echo], echoes: list[Echo], way: Floats, zone: float) -> Bools:
     """Which feet (f) of a reflector have half the level of others near by, or less: they lie past its edge.
 
     A half-plane whose edge is at the foot mirrors half the wave, 6 dB less; beyond it the level falls on

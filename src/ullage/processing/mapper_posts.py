@@ -12,7 +12,7 @@ import numpy as np
 from ullage.arrays import Floats
 from ullage.kernels.rolls import NORMAL, PLACE
 from ullage.processing.mapper_bows import Hollow
-from ullage.processing.mapper_echoes import Foot
+from ullage.processing.mapper_echoes import SpecularPoint
 from ullage.processing.mapper_shells import (
     CLOSE_M,
     FITS_M,
@@ -77,7 +77,7 @@ def _best(circles: Floats, some: Heard) -> Floats | None:
     return circle if stands else None
 
 
-def along_post(foot: Foot, half_m: float, step_m: float) -> Floats:
+def along_post(foot: SpecularPoint, half_m: float, step_m: float) -> Floats:
     """Places (n, 3) on a post on which one echo of it stands, half a length to either side of its foot [m]."""
     if foot.post is None:
         return foot.at[None]

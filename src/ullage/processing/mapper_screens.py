@@ -10,7 +10,7 @@ import numpy as np
 
 from ullage.arrays import Floats, Longs
 from ullage.processing.mapper_bows import bow_of, hollow_of
-from ullage.processing.mapper_echoes import Traced
+from ullage.processing.mapper_echoes import Echo
 
 BEYOND_M, LEVEL_M, SHADE_SLOPE = 1.0, 12.0, 0.6
 FITS_M, FITS_COSINE, EXPLAINED = 0.04, 0.08, 3.0
@@ -29,13 +29,13 @@ def further(walls: Floats) -> Floats:
     return out
 
 
-def across_beam(echo: Traced, way: Floats) -> Floats:
+def across_beam(echo: Echo, way: Floats) -> Floats:
     """The part (8) of a wall in some way (3) that may lie in the beam of an echo off it."""
     foot = echo.position + echo.range_m * way
     return np.array([*way, way @ foot, *foot, max(BEYOND_M, SHADE_SLOPE * echo.range_m)])
 
 
-def explained_by(echoes: list[Traced], walls: Floats) -> Longs:
+def explained_by(echoes: list[Echo], walls: Floats) -> Longs:
     """Which of these walls (p, 8) echoes (e) may be off, wherever on them, by range, bearing and loudness; -1: none."""
     if not echoes or not len(walls):
         return np.full(len(echoes), -1)
@@ -48,7 +48,7 @@ def explained_by(echoes: list[Traced], walls: Floats) -> Longs:
     return np.asarray(np.where(fits.min(axis=1) < EXPLAINED, fits.argmin(axis=1), -1))
 
 
-def screens_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats:
+def screens_of(echoes: list[Echo], ahead: Floats, least: float) -> Floats:
     """Walls (p, 8) that echoes of an open direction may have come from: one for each stretch of the ring in the beam.
 
     Each has normal and distance, centre and radius as `EchoTracks.walls` [m].
@@ -70,7 +70,7 @@ def screens_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats:
     return np.concatenate([flat, *_beside(echoes, normal)])
 
 
-def _beside(echoes: list[Traced], ways: Floats) -> list[Floats]:
+def _beside(echoes: list[Echo], ways: Floats) -> list[Floats]:
     """Planes (6, 8) that touch hollow walls beside where ways (w, 3) meet them, for those that bow ranges so."""
     bow = bow_of(echoes[-BOWED:])
     if bow is None:

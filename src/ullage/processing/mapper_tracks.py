@@ -18,7 +18,7 @@ from ullage.antenna import BoresightPattern, boresight_pattern
 from ullage.arrays import Floats
 from ullage.processing.inverse_sensor import least_cosine
 from ullage.processing.mapper_bows import own_share
-from ullage.processing.mapper_echoes import LEAST_RIM, Foot, Traced
+from ullage.processing.mapper_echoes import LEAST_RIM, Echo, SpecularPoint
 from ullage.processing.mapper_hollows import Piece
 from ullage.processing.mapper_legs import LEAST_ECHOES, STRETCH_M, Legs
 from ullage.processing.mapper_looks import Look, dense_looks
@@ -54,16 +54,16 @@ MOST_GONE = 32
 class Followed:
     """The echoes of one reflector, look after look, and its direction once that is known."""
 
-    echoes: list[Traced] = field(default_factory=list)
+    echoes: list[Echo] = field(default_factory=list)
     normal: Floats | None = None
     post: Floats | None = None  # (2) where it stands, if it is an upright edge or pole [m]
     screens: Floats = field(default_factory=lambda: np.zeros((0, 8)))  # walls it may be while its direction is open
     rim: float = LEAST_RIM  # Fresnel parameter out to which no edge stands
     count: float = 0.0  # of looks of a dense flight
-    fresh: list[Traced] = field(default_factory=list)  # echoes that are part of no stretch yet
+    fresh: list[Echo] = field(default_factory=list)  # echoes that are part of no stretch yet
     doubts: int = 0  # echoes that may have been folded, less those after them that cannot have been
 
-    def add(self, echo: Traced, ahead: Floats, least: float) -> None:
+    def add(self, echo: Echo, ahead: Floats, least: float) -> None:
         """Go on with an echo; every few of them, find the direction anew."""
         self.echoes.append(echo)
         while sum(e.looks for e in self.echoes) > FOLLOWED:
@@ -76,14 +76,14 @@ class Followed:
             self.rim = rim_of(level, least=LEAST_RIM, most=MOST_RIM)
             self.screens = np.zeros((0, 8)) if self.normal is not None else screens_of(self.echoes, ahead, least)
 
-    def way(self, echo: Traced) -> tuple[Floats, bool]:
+    def way(self, echo: Echo) -> tuple[Floats, bool]:
         """Unit vector (3) to what made an echo, and whether that is flat."""
         if self.post is None or self.normal is None:
             return np.zeros(3) if self.normal is None else self.normal, True
         level = np.array([*(self.post - echo.position[:2]), 0.0])
         return level / max(float(np.linalg.norm(level)), 1e-9), False
 
-    def miss(self, echo: Traced) -> float:
+    def miss(self, echo: Echo) -> float:
         """By how much an echo's range misses what this one's is by now, infinite where it cannot be the same [m]."""
         last = self.echoes[-1]
         step = echo.position - last.position
@@ -110,14 +110,14 @@ class EchoTracks:
         wave_m: wavelength of the carrier [m].
     """
 
-    def __init__(self, may_be_folded: Callable[[str, Traced, Floats], bool] = lambda *_: False) -> None:
+    def __init__(self, may_be_folded: Callable[[str, Echo, Floats], bool] = lambda *_: False) -> None:
         self._may_be_folded = may_be_folded
         self.mirror_m: dict[str, float] = {}
         self.patterns: dict[str, BoresightPattern] = {}
         self.wave_m = 0.0
         self._open: dict[str, list[Followed]] = {}
         self._walls: list[Floats] = []
-        self._held: list[list[Foot]] = []
+        self._held: list[list[SpecularPoint]] = []
         self._levels = self._sheets = np.zeros((0, 8))
         self._gone: deque[Followed] = deque(maxlen=MOST_GONE)
         self._legs = Legs()
@@ -156,7 +156,7 @@ class EchoTracks:
         """Take floor (-1) and ceiling (1) at these heights for walls around a place; others may be [m]."""
         self._levels, self._sheets = sheets_of(levels, position), sheets_of(possible or [], position)
 
-    def _known(self, echo: Traced) -> Floats | None:
+    def _known(self, echo: Echo) -> Floats | None:
         """Normal of the one known wall that range and bearing of an echo fit."""
         if not len(walls := self.walls):
             return None
@@ -171,7 +171,7 @@ class EchoTracks:
         told = fits[best] < 1 and (not len(other) or other.min() > 2) and not too_faint([echo], normal[best])
         return normal[best] if told else None
 
-    def _remember(self, foot: Foot, *, hold: bool = True) -> list[Foot]:
+    def _remember(self, foot: SpecularPoint, *, hold: bool = True) -> list[SpecularPoint]:
         """Add a foot to its wall; the feet that are to be told, all of a wall's once it has enough."""
         at, normal = foot.at, foot.way
         for k, wall in enumerate(self._walls):
@@ -193,7 +193,9 @@ class EchoTracks:
         del self._walls[:-MOST_WALLS], self._held[:-MOST_WALLS]
         return [foot] * (not hold)
 
-    def follow(self, name: str, look: Look, cosine: Floats, sigma: Floats, trust: Floats, least: float) -> list[Foot]:
+    def follow(
+        self, name: str, look: Look, cosine: Floats, sigma: Floats, trust: Floats, least: float
+    ) -> list[SpecularPoint]:
         """Add a look's echoes; the feet of perpendiculars that are now known and were not told before.
 
         Args:
@@ -217,7 +219,7 @@ class EchoTracks:
         free = list(held)
         feet = [f for one in gone if one.normal is not None and not one.doubts for f in self._tell_passed(one, None)]
         for k in np.argsort(-trust):
-            echo = Traced(
+            echo = Echo(
                 now, here, look.track, float(look.echoes[k, 0]), float(cosine[k]), float(look.echoes[k, 5]),
                 float(sigma[k]), float(trust[k]), ahead, least_cosine(loud[k], mirror, pattern),
                 dense_looks(look.heard.step_m), level_db(loud[k], mirror), sensor=name, pattern=pattern,
@@ -240,7 +242,7 @@ class EchoTracks:
         self._open[name] = held
         return feet
 
-    def join(self, most: int | None = None) -> Iterator[Foot]:
+    def join(self, most: int | None = None) -> Iterator[SpecularPoint]:
         """The feet of echoes of straight legs that other legs have told by now; of at most so many stretches."""
         for echoes, ways, rim, radius, post in self._legs.tell_all() if most is None else self._legs.tell(most):
             some = {0, len(echoes) // 2, len(echoes) - 1}
@@ -249,10 +251,10 @@ class EchoTracks:
             for echo, way in zip(echoes, ways, strict=True):
                 if not echo.laid:
                     echo.laid, echo.way = True, way
-                    foot = Foot(echo, way, post is None, rim, radius, post)
+                    foot = SpecularPoint(echo, way, post is None, rim, radius, post)
                     yield from [foot] if post is not None else self._remember(foot, hold=False)
 
-    def _told(self, one: Followed, echo: Traced) -> list[Foot]:
+    def _told(self, one: Followed, echo: Echo) -> list[SpecularPoint]:
         """The feet that one reflector's latest echo makes known."""
         if one.normal is not None:
             doubtful = self._may_be_folded(echo.sensor, echo, one.normal)
@@ -264,9 +266,9 @@ class EchoTracks:
         if way is None or self._may_be_folded(echo.sensor, echo, way):
             return []
         echo.laid, echo.way = True, way
-        return [Foot(echo, way, True, one.rim)]
+        return [SpecularPoint(echo, way, True, one.rim)]
 
-    def _tell_passed(self, one: Followed, here: Floats | None) -> list[Foot]:
+    def _tell_passed(self, one: Followed, here: Floats | None) -> list[SpecularPoint]:
         """The feet of a reflector that was followed half a Fresnel zone beyond them, or to its end, are told.
 
         From the edge of a wall on, an echo's level falls by over 6 dB in so much; one that does is of no wall.
@@ -275,7 +277,7 @@ class EchoTracks:
             one: with a direction.
             here: where it is followed now (3), None at its end [m].
         """
-        feet = [Foot(e, *one.way(e), one.rim) for e in one.echoes if not e.laid]
+        feet = [SpecularPoint(e, *one.way(e), one.rim) for e in one.echoes if not e.laid]
         for foot in feet:
             foot.echo.way = foot.way
         zone = np.sqrt(self.wave_m / 2)
@@ -291,13 +293,13 @@ class EchoTracks:
             ripe = [foot for foot, none in zip(ripe, past, strict=True) if not none]
         return [told for foot in ripe for told in (self._remember(foot) if foot.flat else [foot])]
 
-    def end(self) -> list[Foot]:
+    def end(self) -> list[SpecularPoint]:
         """The feet of all that was followed to the last look."""
         last = [one for held in self._open.values() for one in held if one.normal is not None and not one.doubts]
         return [foot for one in last for foot in self._tell_passed(one, None)]
 
 
-def normal_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats | None:
+def normal_of(echoes: list[Echo], ahead: Floats, least: float) -> Floats | None:
     """Unit vector (3) to a flat surface from the ranges along a bent track; None while that is not known.
 
     Range and cosine are linear in the normal. Its two best known components come by least squares, the third by its
@@ -332,7 +334,7 @@ def normal_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats | Non
     return _settled(both[lit[0]], matrix, right, apart * RANGE_SIGMA_M, gone * RANGE_SIGMA_M, share)
 
 
-def post_of(echoes: list[Traced], normal: Floats) -> Floats | None:
+def post_of(echoes: list[Echo], normal: Floats) -> Floats | None:
     """Place (2) of an upright edge or pole, where that explains the ranges much better than a wall does [m]."""
     at, reach = np.array([e.position for e in echoes]), np.array([e.range_m for e in echoes])
     off = reach - reach.mean() + (at - at.mean(0)) @ normal
