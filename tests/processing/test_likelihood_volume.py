@@ -12,6 +12,8 @@ from ullage.geometry import quat_matrix
 from ullage.kernels.volume_cells import Box, SpatialViews, find_hidden
 from ullage.processing.likelihood.volume_surfaces import CYLINDER, PLANE, PROJECTORS, transported
 from ullage.processing.occupancy import Mapper
+from ullage.world import shapes
+from ullage.world.scene import Scene
 
 RIG = ul.Rig.preset("thesis-4").sensors
 LOW, HIGH = np.array([-2.0, -1.7, 0.0]), np.array([2.2, 1.9, 2.6])  # of the room
@@ -107,7 +109,7 @@ def test_all_six_faces_of_a_room_are_found_by_a_climbing_flight(room):
 def test_the_room_is_free_and_nothing_beyond_it(room):
     free = centres(room[1].free)
     assert np.all((free > LOW + 0.05) & (free < HIGH - 0.05))
-    inside = (GRID.z_m[:, None, None] > 0.5) & (GRID.z_m[:, None, None] < 2.1)
+    inside = (GRID.z_m[:, None, None] > 0.75) & (GRID.z_m[:, None, None] < 1.65)  # the heights of the flight
     inside = inside & (np.abs(GRID.y_m)[:, None] < 1.0) & (np.abs(GRID.x_m) < 1.2)
     assert room[1].free[inside].mean() > 0.9
 
@@ -347,25 +349,20 @@ def test_before_any_frame_a_volume_is_unknown():
     assert not omap.free.any()
 
 
-def level_edge(axis, at_m, z_m):
-    """The level edge of an upright wall, by the law of a straight edge [Keller1962]."""
-
-    def echo(at):
-        r, h = np.abs(at_m - at[:, axis]), z_m - at[:, 2]
-        ray = np.zeros_like(at)
-        ray[:, axis], ray[:, 2] = at_m - at[:, axis], h
-        far = np.hypot(r, h)
-        tangent = np.maximum(np.abs(h) / r, 1e-3)
-        wavenumber = 2 * np.pi / next(iter(RIG.values())).wavelength_m
-        level = np.minimum(1 / (2 * np.sqrt(np.pi * wavenumber * far) * tangent), 1.0)
-        return far, ray / far[:, None], 0.5 * level
-
-    return echo
-
-
-@pytest.mark.parametrize("floor_z_m", [0.2, 0.35])
-def test_edges_of_walls_show_the_height_of_the_floor(floor_z_m):
-    walls = [plane(sign * np.eye(3)[k], sign * side[k]) for k in (0, 1) for sign, side in ((1, HIGH), (-1, LOW))]
-    edges = [level_edge(k, side[k], floor_z_m) for k in (0, 1) for side in (LOW, HIGH)]
-    lowest = [centres(mapped(flown(climbing(), *walls, *more)).map().free)[:, 2].min() for more in ([], edges)]
-    assert lowest[0] < floor_z_m < lowest[1] < floor_z_m + 0.4
+def test_what_nothing_would_have_received_is_not_free():
+    """A partition that the flight passes inside the blind range, and a box below the flight with its top unseen."""
+    partition, crate = np.array([[-3.5, 0.5, -1.3], [0.0, 0.55, 1.3]]), np.array([[0.6, -1.4, -1.3], [1.6, -0.6, -0.5]])
+    scene = ul.scenes.room((7.0, 5.0, 2.6))
+    for name, (low, high), material in (("partition", partition, "concrete"), ("crate", crate, "steel")):
+        scene = scene.add(Scene.of_mesh(*shapes.box(high - low), name=name, made_of=material), at=(low + high) / 2)
+    s = np.linspace(0, 1, 140)
+    place = np.stack([2.6 - 5.2 * s, 0.1 + 0.05 * np.sin(9 * s), 0.1 + 0.3 * np.sin(5 * s)], axis=1)
+    path = Trajectory(np.arange(len(s)) * 60_000_000, place, np.tile([0, 0, 0, 1.0], (len(s), 1)))
+    frames = ul.simulate(scene, path, ul.Rig.preset("thesis-4"), max_bounces=1, seed=2)
+    grid = ul.Grid.covering(scene.bounds, 0.1, dims=3, margin_m=0.3)
+    free = ul.map_occupancy(frames, grid, method="likelihood").free
+    k, j, i = np.nonzero(free)
+    cells = np.stack([grid.x_m[i], grid.y_m[j], grid.z_m[k]], axis=1)
+    assert len(cells) > 500
+    for low, high in (partition, crate):
+        assert not np.all((cells > low - 0.02) & (cells < high + 0.02), axis=1).any()

@@ -16,7 +16,10 @@ BEFORE_M = 0.1  # an echo is not hidden by what lies this near before it
 BODY_M = 0.25  # radius about the sensor that is free
 RINGS, SPOKES = 2, 8  # rays across the path of an echo, besides the middle one
 SIDE = 24  # cells along each side of the cube of directions in which silence is kept
-HIDDEN, IN_SIGHT, QUIET = 0, 1, 2  # what a keyframe sees of a place; quiet: it would have received an occluder there
+HIDDEN, IN_SIGHT, QUIET, STILL = 0, 1, 2, 3  # what a keyframe sees of a place, by what it would have received there:
+# nothing, an occluder (quiet), or even the edge of a surface (still)
+LEVEL = 0.02  # upward part of the normal of an upright surface, or of one less that part of a level surface
+RIM_M = 0.3  # of height, within which a surface ends at upright edges only; and half width of the least surface
 
 
 class Box(NamedTuple):
@@ -56,7 +59,19 @@ class Silence(NamedTuple):
     cubes: NDArray[np.float64]  # (s, 6, m, m) one-way amplitude gains
     occluder_m: float  # amplitude times range of the least occluder before an antenna of 0 dBi [m]
     wall_m: float  # the same of the weakest wall, seen square
+    edge_m: float  # the same of an edge, times the root of the range [m^1.5]
     plane: NDArray[np.float64]  # (k, q, 4) unit vector and distance of the known surfaces; distance 0: none
+
+
+class Hearing(NamedTuple):
+    """Where surfaces would have been received, on a lattice of coarse cells."""
+
+    lattice: Box
+    position: NDArray[np.float64]  # (k, 3) of the keyframes [m]
+    heard: NDArray[np.bool_]  # (k, 2 n, b) whether a wall across each normal, and across its opposite, was excluded
+    step_m: float  # of range
+    quiet: NDArray[np.bool_]  # (cells) in which no occluder stands
+    still: NDArray[np.bool_]  # (cells) in which no surface ends
 
 
 @inner()
@@ -275,53 +290,132 @@ def _listen(box: Box, silence: Silence, k: int, occupied: Bools, view: NDArray[n
                     cell = _cell(box, p[0] + far * unit[0], p[1] + far * unit[1], p[2] + far * unit[2])
                     if cell < 0 or (occupied[cell] and far > BODY_M):
                         break
-                    view[face, i, j, n] = QUIET if silence.masked[k, n] <= energy else IN_SIGHT
+                    edge = power * (silence.edge_m / far) ** 2 / far
+                    masked = silence.masked[k, n]
+                    view[face, i, j, n] = (
+                        STILL if masked <= min(edge, energy) else QUIET if masked <= energy else IN_SIGHT
+                    )
 
 
 @loop()
 def count_silence(
-    box: Box, lattice: Box, silence: Silence, normals: Floats, occupied: Bools, looks: Ints, reach_m: Floats
+    box: Box, lattice: Box, silence: Silence, normals: Floats, occupied: Bools, looks: Ints, heard: Bools
 ) -> None:
-    """Count the keyframes that would have received an occluder in each cell, and did not.
+    """Count the keyframes that would have received an occluder, and an edge, in each cell, and did not.
 
     Args:
         box: the cells.
         lattice: coarser cells that cover them.
         silence: what the keyframes did not receive.
         normals: (n, 3) unit vectors.
-        occupied: (cells) that hold a surface.
-        looks: (cells of the lattice) int32, added to.
-        reach_m: (k, n) set to the distance up to which a wall across each normal would have been received [m].
+        occupied: (cells) that end a line of sight.
+        looks: (2, cells of the lattice) int32, added to: occluders, edges.
+        heard: (k, 2 n, b) set to whether a wall across each normal, or its opposite, would have been received at each
+            step of range.
     """
-    steps = silence.masked.shape[1]
+    steps, count = silence.masked.shape[1], len(normals)
     view = np.empty((6, SIDE, SIDE, steps), np.uint8)
-    reach = steps * silence.step_m
-    corner, count = (lattice.z, lattice.y, lattice.x), (lattice.levels, lattice.rows, lattice.columns)
+    reach, unit = steps * silence.step_m, np.empty(3)
+    corner, cells = (lattice.z, lattice.y, lattice.x), (lattice.levels, lattice.rows, lattice.columns)
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     for k in range(len(silence.position)):
         _listen(box, silence, k, occupied, view)
         p = silence.position[k]
-        for n in range(len(normals)):
-            face, a, b = _cube_cell(normals[n, 0], normals[n, 1], normals[n, 2])
-            power = _power(silence, k, normals[n])
-            reach_m[k, n] = 0.0
+        for n in range(2 * count):
+            unit[:] = normals[n] if n < count else -normals[n - count]
+            face, a, b = _cube_cell(unit[0], unit[1], unit[2])
+            power = _power(silence, k, unit)
             for i in range(steps):
                 far = (i + 0.5) * silence.step_m
-                if view[face, a, b, i] == HIDDEN:
-                    break
-                if silence.masked[k, i] <= power * (silence.wall_m / far) ** 2:
-                    reach_m[k, n] = far
+                seen = view[face, a, b, i] != HIDDEN and silence.masked[k, i] <= power * (silence.wall_m / far) ** 2
+                heard[k, n, i] = seen or far < BODY_M
         for d in range(3):
             low[d] = max(int((p[2 - d] - reach - corner[d]) / lattice.step), 0)
-            high[d] = min(int((p[2 - d] + reach - corner[d]) / lattice.step) + 1, count[d])
+            high[d] = min(int((p[2 - d] + reach - corner[d]) / lattice.step) + 1, cells[d])
         for i in range(low[0], high[0]):
             z = lattice.z + (i + 0.5) * lattice.step - p[2]
             for j in range(low[1], high[1]):
                 y = lattice.y + (j + 0.5) * lattice.step - p[1]
                 for m in range(low[2], high[2]):
                     x = lattice.x + (m + 0.5) * lattice.step - p[0]
-                    n = int(math.sqrt(x * x + y * y + z * z) / silence.step_m)
+                    far = math.sqrt(x * x + y * y + z * z)
+                    n = int(far / silence.step_m)
                     if n < steps:
                         face, a, b = _cube_cell(x, y, z)
-                        if view[face, a, b, n] == QUIET:
-                            looks[(i * lattice.rows + j) * lattice.columns + m] += 1
+                        seen = STILL if far < BODY_M else view[face, a, b, n]
+                        cell = (i * lattice.rows + j) * lattice.columns + m
+                        looks[0, cell] += seen >= QUIET
+                        looks[1, cell] += seen == STILL
+
+
+@inner()
+def _goes_on(hearing: Hearing, x: float, y: float, z: float, place: Floats, normal: Floats, far: float) -> bool:
+    """Whether a flat surface goes on from a cell to its foot, the point nearest to a keyframe at a distance `far`.
+
+    It would have to end in between, and its edge would have been received.
+    """
+    lattice = hearing.lattice
+    own = _cell(lattice, x, y, z)
+    foot_x, foot_y, foot_z = place[0] + far * normal[0], place[1] + far * normal[1], place[2] + far * normal[2]
+    away = math.sqrt((x - foot_x) ** 2 + (y - foot_y) ** 2 + (z - foot_z) ** 2)
+    steps = int(away / (0.5 * lattice.step)) + 1
+    for i in range(steps):
+        u = i / steps
+        px, py, pz = foot_x + u * (x - foot_x), foot_y + u * (y - foot_y), foot_z + u * (z - foot_z)
+        if (px - place[0]) ** 2 + (py - place[1]) ** 2 + (pz - place[2]) ** 2 < BODY_M * BODY_M:
+            continue
+        cell = _cell(lattice, px, py, pz)
+        if cell == own:
+            return True
+        if cell < 0 or not hearing.still[cell]:
+            return False
+    return True
+
+
+@inner()
+def _is_excluded(hearing: Hearing, x: float, y: float, z: float, normal: Floats, n: int) -> bool:
+    """Whether a flat surface through a point would have been received at its foot from a keyframe.
+
+    Upright and level surfaces may end at rims above or below, as boxes and tables do. A rim may return nothing in one
+    polarisation [Keller1962], so the foot must lie at the height of the point, or near it.
+    """
+    steps, count = hearing.heard.shape[2], hearing.heard.shape[1] // 2
+    rims = abs(normal[2]) < LEVEL or abs(normal[2]) > 1 - LEVEL
+    for k in range(len(hearing.position)):
+        p = hearing.position[k]
+        dx, dy, dz = x - p[0], y - p[1], z - p[2]
+        far = dx * normal[0] + dy * normal[1] + dz * normal[2]
+        i = int(abs(far) / hearing.step_m)
+        if i >= steps or not hearing.heard[k, n if far >= 0 else n + count, i]:
+            continue
+        if rims and abs(far * normal[2] - dz) > RIM_M and dx * dx + dy * dy + dz * dz - far * far > RIM_M * RIM_M:
+            continue
+        if _goes_on(hearing, x, y, z, p, normal, far):
+            return True
+    return False
+
+
+@loop()
+def exclude_surfaces(hearing: Hearing, normals: Floats, prior: Floats, most: float, free: Bools) -> None:
+    """Find the cells in which no surface stands, however it is turned.
+
+    Args:
+        hearing: where surfaces would have been received.
+        normals: (n, 3) unit vectors of surfaces over half the sphere, the most probable first.
+        prior: (n) share of the surfaces that have each normal.
+        most: share that may be left.
+        free: (cells of the lattice) set; those that are not free to begin with stay so.
+    """
+    lattice = hearing.lattice
+    for i in range(lattice.levels):
+        for j in range(lattice.rows):
+            for m in range(lattice.columns):
+                cell = (i * lattice.rows + j) * lattice.columns + m
+                free[cell] &= hearing.quiet[cell]
+                left, n = 0.0, 0
+                x, y, z = (m + 0.5) * lattice.step, (j + 0.5) * lattice.step, (i + 0.5) * lattice.step
+                while free[cell] and n < len(normals):
+                    if not _is_excluded(hearing, lattice.x + x, lattice.y + y, lattice.z + z, normals[n], n):
+                        left += prior[n]
+                        free[cell] = left <= most
+                    n += 1

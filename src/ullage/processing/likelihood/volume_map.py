@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -14,10 +15,12 @@ from ullage.arrays import Bools, Floats, Longs
 from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
 from ullage.kernels.volume_cells import (
     Box,
+    Hearing,
     Silence,
     SpatialViews,
     count_silence,
     draw_discs,
+    exclude_surfaces,
     find_crossed,
     find_hidden,
 )
@@ -55,9 +58,11 @@ STEP_M = 0.1  # of range, in which silence is kept
 LEAST_OCCLUDER_DB = (
     -22.0
 )  # against a mirror: a metal pole of 5 cm at 3 m, by the root of radius over 2 (range + radius)
-WALL_DB = -15.0  # of the weakest wall seen square against a mirror [ITU-R-P2040]
-COARSE, NORMALS = 2, 168  # cells along a block in which silence is counted; directions in which space is closed off
-CLOSING_ODDS = 300.0  # log-odds of a surface that closes off free space
+LATTICE_M = 0.2  # between the places at which surfaces are excluded
+UPRIGHT_NORMALS, SLOPED_NORMALS, SLOPES_DEG = 24, 39, (12.0, 80.0)  # every 7.5 deg; over the sphere between two slopes
+LEVEL_PRIOR, UPRIGHT_PRIOR, SLOPED_PRIOR = 0.3, 0.5, 0.2  # of the surfaces in tanks, halls and rooms
+MOST_LEFT = 0.06  # of these in a free cell: where one cell in ten is on a surface, 0.6 % of the free ones are
+SIGHT_ROUNDS = 2
 BLOCKED = 10.0  # an echo of open direction ends silence unless it is as much weaker than the least occluder
 LEAST_VIEWS = 5  # keyframes that would have received an occluder
 
@@ -95,7 +100,7 @@ def quiet_of(echoes: DirectedEchoes, number: Longs) -> Quiet:
 
 def render(
     grid: Grid, surfaces: list[SpatialSurface], quiets: Sequence[Quiet], flown: Floats, radar: Radar,
-    spec: LikelihoodSpec, ends_m: tuple[float, float] = (-math.inf, math.inf),
+    spec: LikelihoodSpec,
 ) -> tuple[OccupancyMap, Bools]:  # fmt: skip
     """Draw a map.
 
@@ -106,7 +111,6 @@ def render(
         flown: (f, 3) places of the track [m].
         radar: the sensors.
         spec: parameters.
-        ends_m: heights of floor and ceiling; infinite where not known.
 
     Returns:
         The map, and which surfaces are on it: of one direction, not hidden behind others, and not flown through.
@@ -118,9 +122,9 @@ def render(
     plausible = np.array([_is_plausible(one, radar.mirror_m) for one in surfaces], bool)
     kept = np.zeros(len(surfaces), bool)
     occupied, shown = np.zeros((2, grid.size), bool)
-    near, fold_m = np.zeros((0, 3)), np.zeros(len(surfaces))
+    fold_m = np.zeros(len(surfaces))
     if resolved.any():
-        views, owner, fits = _views(
+        views, owner, _ = _views(
             [one for one, sure in zip(surfaces, resolved, strict=True) if sure], wavelength_m, spec
         )
         far = folded(views.position, views.unit, views.range_m, owner, radar.fold_m)
@@ -134,10 +138,7 @@ def render(
         crossed, tube = np.zeros(grid.size), NARROW * spec.tube * math.sqrt(wavelength_m / 2)
         find_crossed(box, views, evidence, level, spec.evidence, alive, tube, crossed)
         occupied = shown & (crossed < spec.crossed * evidence)
-        sure = np.array([one.log_odds >= CLOSING_ODDS for one in surfaces], bool)[resolved]
-        near = _outline(views, alive & sure[owner] & fits, math.sqrt(wavelength_m / 2))
-    near = _between(np.concatenate([near, flown]), ends_m, spec.margin_m + CELL_MARGIN_M)
-    silent = _silent(grid, (surfaces, resolved, fold_m), quiets, occupied, near, radar, spec, ends_m)
+    silent = _silent(grid, (surfaces, resolved, fold_m), quiets, occupied, radar, spec)
     _ambiguous(
         box, [one for one, sure in zip(surfaces, resolved, strict=True) if not sure], wavelength_m, spec, percent
     )
@@ -275,60 +276,52 @@ def _visible(
     return alive, evidence, level
 
 
-def _outline(views: SpatialViews, alive: Bools, zone: float) -> Floats:
-    """Points (n, 3) about the specular points [m], a first Fresnel zone (`zone` times the root of the range) wide."""
-    foot = views.position + views.range_m[:, None] * views.unit
-    half = np.minimum(views.half_m, zone * np.sqrt(views.range_m)[:, None])
-    aside = half[:, :, None] * views.frame
-    return np.concatenate([foot + sign * aside[:, axis] for axis in (0, 1) for sign in (-1, 1)])[np.tile(alive, 4)]
-
-
-def _between(points: Floats, ends_m: tuple[float, float], margin_m: float) -> Floats:
-    """Points (n, 3), and those above and below them at floor and ceiling: walls reach from one to the other."""
-    low, high = ends_m[0] + margin_m, ends_m[1] - margin_m
-    inside = np.column_stack([points[:, :2], np.clip(points[:, 2], low, high)])
-    levels = [np.column_stack([points[:, :2], np.full(len(points), z)]) for z in (low, high) if math.isfinite(z)]
-    return np.concatenate([inside, *levels])
-
-
 def _silent(
     grid: Grid, given: tuple[list[SpatialSurface], Bools, Floats], quiets: Sequence[Quiet], occupied: Bools,
-    near: Floats, radar: Radar, spec: LikelihoodSpec, ends_m: tuple[float, float],
+    radar: Radar, spec: LikelihoodSpec,
 ) -> Bools:  # fmt: skip
-    """Cells in which the least occluder would have been received and was not, in the space that is closed off.
+    """Cells in which neither an occluder nor a surface of any normal stands: each would have been received.
 
-    That space lies within the flight, the sure surfaces (`near`: points of both) and the walls that would have been
-    received, in each of many directions.
+    Where a surface may stand unheard, it hides what lies behind, so the cells that the first round leaves open end the
+    lines of sight of the next.
     """
     if not quiets:
         return np.zeros(grid.size, bool)
-    box, normals = _box(grid), _directions(NORMALS)
-    count = [-(-cells // COARSE) for cells in grid.shape]
-    lattice = box._replace(step=COARSE * box.step, levels=count[0], rows=count[1], columns=count[2])
-    silence = _silence(given, quiets, radar, spec)
-    views, reach_m = np.zeros(math.prod(count), np.int32), np.zeros((len(quiets), NORMALS))
-    count_silence(box, lattice, silence, normals, occupied, views, reach_m)
-    reach = np.sort(silence.position @ normals.T + reach_m, axis=0)[-min(LEAST_VIEWS, len(quiets))]
-    bound = np.maximum(reach, (near @ normals.T).max(axis=0))
-    bound[[2, 5]] = np.minimum(bound[[2, 5]], np.array([ends_m[1], -ends_m[0]]) - spec.margin_m - CELL_MARGIN_M)
-    fine = views.reshape(count)
-    for axis in range(3):
-        fine = fine.repeat(COARSE, axis)
-    fine = fine[tuple(slice(cells) for cells in grid.shape)]
-    index = np.argwhere(fine >= LEAST_VIEWS)
-    centre = np.array([box.x, box.y, box.z]) + box.step * (index[:, ::-1] + 0.5)
-    inside = index[np.all(centre.astype(np.float32) @ normals.T.astype(np.float32) <= bound, axis=1)]
-    out = np.zeros(grid.shape, bool)
-    out[tuple(inside.T)] = True
-    return out.ravel()
+    box, coarse = _box(grid), max(round(LATTICE_M / grid.step_m), 1)
+    count = [-(-cells // coarse) for cells in grid.shape]
+    lattice = box._replace(step=coarse * box.step, levels=count[0], rows=count[1], columns=count[2])
+    silence, (normals, prior) = _silence(given, quiets, radar, spec), _normals()
+
+    def fine(cells: Bools) -> Bools:
+        out = cells.reshape(count)
+        for axis in range(3):
+            out = out.repeat(coarse, axis)
+        return out[tuple(slice(n) for n in grid.shape)].ravel()
+
+    free, blocked = np.ones(math.prod(count), bool), occupied
+    for _ in range(SIGHT_ROUNDS):
+        looks = np.zeros((2, len(free)), np.int32)
+        heard = np.empty((len(quiets), 2 * len(normals), silence.masked.shape[1]), bool)
+        count_silence(box, lattice, silence, normals, blocked, looks, heard)
+        quiet, still = looks >= LEAST_VIEWS
+        exclude_surfaces(
+            Hearing(lattice, silence.position, heard, STEP_M, quiet, still), normals, prior, MOST_LEFT, free
+        )
+        blocked = occupied | fine(quiet & ~free)
+    return fine(free)
 
 
-def _directions(count: int) -> Floats:
-    """Unit vectors (count, 3) that cover the sphere evenly, with the three axes among them."""
-    z = 1 - 2 * (np.arange(count - 6) + 0.5) / (count - 6)
-    turn = math.pi * (1 + math.sqrt(5)) * np.arange(count - 6)
-    side = np.sqrt(1 - z**2)
-    return np.concatenate([np.eye(3), -np.eye(3), np.column_stack([side * np.cos(turn), side * np.sin(turn), z])])
+@lru_cache(maxsize=1)
+def _normals() -> tuple[Floats, Floats]:
+    """Normals (n, 3) of surfaces over half the sphere, the level one first, then upright ones, and priors (n)."""
+    course = (np.arange(UPRIGHT_NORMALS) + 0.5) / UPRIGHT_NORMALS * math.pi
+    upright = np.column_stack([np.cos(course), np.sin(course), np.zeros(UPRIGHT_NORMALS)])
+    z = np.linspace(*np.sin(np.radians(SLOPES_DEG)), SLOPED_NORMALS)
+    turn, side = math.pi * (1 + math.sqrt(5)) * np.arange(SLOPED_NORMALS), np.sqrt(1 - z**2)
+    sloped = np.column_stack([side * np.cos(turn), side * np.sin(turn), z])
+    prior = np.repeat([LEVEL_PRIOR, UPRIGHT_PRIOR / UPRIGHT_NORMALS, SLOPED_PRIOR / SLOPED_NORMALS],
+                      [1, UPRIGHT_NORMALS, SLOPED_NORMALS])  # fmt: skip
+    return np.concatenate([[[0.0, 0.0, 1.0]], upright, sloped]), prior
 
 
 def _silence(
@@ -359,8 +352,9 @@ def _silence(
     if not math.isfinite(mirror_m):  # uncalibrated samples: the strongest surface is the mirror
         levels_m = [np.median([seen.level for seen in one.sightings.values()]) for one, _ in known.values()]
         mirror_m = float(max(levels_m, default=0.0))
-    occluder_m, wall_m = (mirror_m * 10 ** (level_db / 20) for level_db in (LEAST_OCCLUDER_DB, WALL_DB))
-    return Silence(place, turns, rows, masked, blocked, STEP_M, radar.cubes, occluder_m, wall_m, plane)
+    occluder_m, wall_m = (mirror_m * 10 ** (level_db / 20) for level_db in (LEAST_OCCLUDER_DB, FAINTEST_DB))
+    edge_m = mirror_m * math.sqrt(radar.wavelength_m / 2) / math.pi  # of a half plane [Keller1962]
+    return Silence(place, turns, rows, masked, blocked, STEP_M, radar.cubes, occluder_m, wall_m, edge_m, plane)
 
 
 def _ambiguous(

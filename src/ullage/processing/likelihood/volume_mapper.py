@@ -15,7 +15,6 @@ from ullage.processing.baseband import as_baseband
 from ullage.processing.inverse_sensor import mirror_m
 from ullage.processing.likelihood.directions import DirectionFinder
 from ullage.processing.likelihood.keyframes import Keyframe
-from ullage.processing.likelihood.level_edges import LevelEdges
 from ullage.processing.likelihood.mapper import CELL_M, LikelihoodMapper
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.volume_map import Quiet, Radar, quiet_of, render, smoothed
@@ -52,7 +51,6 @@ class VolumeMapper(LikelihoodMapper):
         self._pose_errors = self._finder.pose_errors
         floor = None if floor_z_m is None else checks.number("floor_z_m", floor_z_m, "mapper")
         self._space = SpatialTracker(spec, floor)
-        self._edges = LevelEdges(grid)
         self._cubes: dict[str, Floats] = {}
         self._mirror_m = np.inf
         self._places: dict[tuple[int, ...], None] = {}
@@ -84,7 +82,6 @@ class VolumeMapper(LikelihoodMapper):
         yield
         number = self._space.update(echoes, self._mirror_m)
         if key.aperture.phase:
-            self._edges.add(key, echoes, self._space.surfaces)
             self._quiet[tuple(np.floor(key.position / QUIET_M).astype(int).tolist())] = quiet_of(echoes, number)
 
     def _rendered(self) -> tuple[OccupancyMap, tuple[MappedSurface, ...]]:
@@ -95,8 +92,7 @@ class VolumeMapper(LikelihoodMapper):
             unknown = np.full(self.grid.shape, UNKNOWN, np.int8)
             return OccupancyMap(self.grid, unknown, "likelihood"), ()
         radar = Radar(np.stack(list(self._cubes.values())), self._wavelength_m, self._fold_m, self._mirror_m)
-        ends = self._edges.nearest(float(flown[:, 2].min()), float(flown[:, 2].max()))
-        omap, kept = render(self.grid, surfaces, list(self._quiet.values()), flown, radar, self.spec, ends)
+        omap, kept = render(self.grid, surfaces, list(self._quiet.values()), flown, radar, self.spec)
         return omap, _mapped(surfaces, kept)
 
 
