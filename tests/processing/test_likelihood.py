@@ -385,10 +385,12 @@ def test_laps_over_the_same_places_add_neither_evidence_nor_surfaces():
         rows = np.arange(count)[:: (-1) ** lap]
         t_ns = (np.arange(count) + lap * count) * 120_000_000
         mapper.update(flown(Trajectory(t_ns, path.position[rows], path.quat_xyzw[rows]), *reflectors, seed=lap))
-        seen.append(sum(one.seen for one in mapper.surfaces()))
-        odds.append(max(one.log_odds for one in mapper.surfaces()))
-    assert seen[7] < 1.5 * seen[1]
-    assert odds[7] < 1.05 * odds[5]
+        if lap in (1, 5, 7):
+            surfaces = mapper.surfaces()
+            seen.append(sum(one.seen for one in surfaces))
+            odds.append(max(one.log_odds for one in surfaces))
+    assert seen[2] < 1.5 * seen[0]
+    assert odds[2] < 1.05 * odds[1]
 
 
 def test_directions_are_summed_as_the_definition_says():
