@@ -31,6 +31,9 @@ demo: $(VENV)/.run
 thesis: $(VENV)/.run
 	$(BIN)/ullage run cargo-hold --force
 
+# the matrices are small: threads of OpenBLAS that wait for more to multiply cost a sixth of the CPU time
+test slow: export OPENBLAS_NUM_THREADS := 1
+
 # three workers for two cores: tests of live ports spend most of their time waiting for their peers
 test: $(VENV)/.dev
 	@$(BIN)/python -c "from ullage.experiments import warmup; warmup.compiled() or warmup.compile_kernels(log=print)"

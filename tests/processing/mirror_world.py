@@ -1,9 +1,11 @@
 """A quick stand-in for the radar: sheets answer where their mirror point lies, upright edges answer as thin lines."""
 
+from dataclasses import replace
+
 import numpy as np
 
 import ullage as ul
-from ullage.data import Frames
+from ullage.data import Frames, Trajectory
 from ullage.geometry import quat_matrix
 
 SPEC = ul.RadarSpec.preset("x4m05")
@@ -103,4 +105,34 @@ def rig(path, segments, **options):
     return {
         name: listen(path, segments, sensor=name, mount=spec.mount.body_from_sensor(), spec=spec, **options)
         for name, spec in preset.items()
+    }
+
+
+def reflected(path, reflectors, *, axes, seed=0, spec=None):
+    """Frames of four sensors; a reflector gives range (n), direction (n, axes) and strength from places (n, axes)."""
+    out = {}
+    for number, (name, mounted) in enumerate(ul.Rig.preset("thesis-4").sensors.items()):
+        true = path.mounted(mounted.mount.body_from_sensor())
+        radar = spec or mounted
+        ahead = quat_matrix(true.quat_xyzw)[:, :axes, 0]
+        rng = np.random.default_rng([seed, number])
+        shape = (len(true), len(radar.range_m))
+        samples = 5.4e-6 * (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
+        for reflector in reflectors:
+            range_m, direction, strength = reflector(true.position[:, :axes])
+            gain = pattern(np.einsum("ij,ij->i", direction, ahead)) ** 2
+            level = strength * gain * radar.wavelength_m / (8 * np.pi * range_m)
+            phase = np.exp(-4j * np.pi / radar.wavelength_m * range_m)
+            pulse = np.exp(-0.5 * ((radar.range_m - range_m[:, None]) / (radar.pulse_sigma_s * ul.C0 / 2)) ** 2)
+            samples += (level * phase)[:, None] * pulse
+        out[name] = Frames(samples.astype(np.complex64), radar.range_m, true.t_ns, radar, true, true, name)
+    return out
+
+
+def shaken(frames, sigma_m, seed=0):
+    """Frames with white errors of their positions, the same for all sensors."""
+    error = np.random.default_rng(seed).normal(size=(len(next(iter(frames.values()))), 3)) * sigma_m
+    return {
+        name: replace(part, poses=Trajectory(part.t_ns, part.poses.position + error, part.poses.quat_xyzw))
+        for name, part in frames.items()
     }

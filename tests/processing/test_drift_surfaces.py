@@ -45,7 +45,7 @@ def test_a_drift_keeps_its_values_and_rates_under_another_prior():
 
 @pytest.fixture(scope="module")
 def flight():
-    return world.rig(loop(), PLAN, seed=1)
+    return world.rig(loop(rate=12.5), PLAN, seed=1)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ import pytest
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
-from ullage.geometry import quat_matrix
 from ullage.grids import UNKNOWN
 from ullage.kernels.matched_sums import Aperture
 from ullage.processing.likelihood.direction_sums import DirectionSums
@@ -20,7 +19,6 @@ from ullage.processing.occupancy import Mapper
 
 RIG = ul.Rig.preset("thesis-4").sensors
 GRID = ul.Grid.covering([[-5, -4, -1], [5, 4, 1]], 0.1, z_m=0.0)
-NOISE = 5.4e-6
 
 
 def curve(*, spacing=0.06, turns=0.35):
@@ -32,24 +30,7 @@ def curve(*, spacing=0.06, turns=0.35):
 
 
 def flown(path, *reflectors, seed=0, spec=None):
-    """Frames of four sensors; a reflector gives range (n), direction (n, 2) and strength from places (n, 2)."""
-    out = {}
-    for number, (name, mounted) in enumerate(RIG.items()):
-        true = path.mounted(mounted.mount.body_from_sensor())
-        radar = spec or mounted
-        ahead = quat_matrix(true.quat_xyzw)[:, :2, 0]
-        rng = np.random.default_rng([seed, number])
-        shape = (len(true), len(radar.range_m))
-        samples = NOISE * (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
-        for reflector in reflectors:
-            range_m, direction, strength = reflector(true.position[:, :2])
-            gain = world.pattern(np.einsum("ij,ij->i", direction, ahead)) ** 2
-            level = strength * gain * radar.wavelength_m / (8 * np.pi * range_m)
-            phase = np.exp(-4j * np.pi / radar.wavelength_m * range_m)
-            pulse = np.exp(-0.5 * ((radar.range_m - range_m[:, None]) / (radar.pulse_sigma_s * ul.C0 / 2)) ** 2)
-            samples += (level * phase)[:, None] * pulse
-        out[name] = Frames(samples.astype(np.complex64), radar.range_m, true.t_ns, radar, true, true, name)
-    return out
+    return world.reflected(path, reflectors, axes=2, seed=seed, spec=spec)
 
 
 def wall(bearing_deg, distance_m, *, strength=0.5, folded_m=0.0):
@@ -101,16 +82,6 @@ def mapped(frames, **spec):
     mapper.update(frames)
     mapper.finish()
     return mapper
-
-
-def shaken(frames, sigma_m, seed=0):
-    """Frames with white errors of their positions, the same for all sensors."""
-    first = next(iter(frames.values()))
-    error = np.random.default_rng(seed).normal(size=(len(first), 3)) * sigma_m
-    return {
-        name: replace(part, poses=Trajectory(part.t_ns, part.poses.position + error, part.poses.quat_xyzw))
-        for name, part in frames.items()
-    }
 
 
 def delayed(part, rows):
@@ -385,10 +356,12 @@ def test_laps_over_the_same_places_add_neither_evidence_nor_surfaces():
         rows = np.arange(count)[:: (-1) ** lap]
         t_ns = (np.arange(count) + lap * count) * 120_000_000
         mapper.update(flown(Trajectory(t_ns, path.position[rows], path.quat_xyzw[rows]), *reflectors, seed=lap))
-        seen.append(sum(one.seen for one in mapper.surfaces()))
-        odds.append(max(one.log_odds for one in mapper.surfaces()))
-    assert seen[7] < 1.5 * seen[1]
-    assert odds[7] < 1.05 * odds[5]
+        if lap in (1, 5, 7):
+            surfaces = mapper.surfaces()
+            seen.append(sum(one.seen for one in surfaces))
+            odds.append(max(one.log_odds for one in surfaces))
+    assert seen[2] < 1.5 * seen[0]
+    assert odds[2] < 1.05 * odds[1]
 
 
 def test_directions_are_summed_as_the_definition_says():
@@ -498,14 +471,14 @@ def test_a_hall_is_mapped_better_than_by_the_baseline():
 @pytest.mark.parametrize("sigma_m", [0.0, 0.001, 0.002, 0.003])
 def test_white_errors_of_the_poses_are_estimated(sigma_m):
     frames = flown(curve(spacing=0.03), wall(90, 2.4), wall(-20, 3.1), pillar((-1.4, -1.8), 0.2))
-    mapper = mapped(shaken(frames, sigma_m))
+    mapper = mapped(world.shaken(frames, sigma_m))
     assert mapper.pose_sigma_m == pytest.approx(sigma_m, rel=0.4, abs=2e-4)
 
 
 def test_the_search_takes_amplitudes_where_the_poses_leave_no_phase():
     """At errors of a quarter wavelength phases are random, and only the pulse and the antennas show the bearing."""
     frames = flown(curve(spacing=0.04, turns=0.25), wall(40, 2.4))
-    mapper = mapped(shaken(frames, 0.01))
+    mapper = mapped(world.shaken(frames, 0.01))
     assert mapper.pose_sigma_m > 0.006
     strongest = max(mapper.surfaces(), key=lambda one: one.log_odds)
     unit = np.array([np.cos(np.radians(40)), np.sin(np.radians(40))])
@@ -516,16 +489,19 @@ def test_the_search_takes_amplitudes_where_the_poses_leave_no_phase():
     assert np.mean(np.abs(occupied @ unit - 2.4) < 0.15) > 0.7
 
 
-def test_the_poses_errors_turn_the_coherent_score_into_that_of_the_amplitudes():
-    """At exact poses no phase is explained by the poses. At poor ones each is, and only amplitudes count."""
-    rng = np.random.default_rng(3)
+def twelve_moments():
+    """An aperture of four sensors that see one echo from twelve places, and the moment (48) of each row."""
     moment = np.repeat(np.arange(12), 4)
     samples = np.zeros((48, 40, 2), np.float32)
     samples[:, 18:22, 0] = 1.0
-    gains = np.ones((4, 2001))
-    aperture = Aperture(
-        samples, np.zeros((48, 3)), np.tile(np.arange(4), 12), np.eye(4, 3), gains, 3.0, moment, np.zeros((3, 3))
-    )
+    sensor, gains = np.arange(48) % 4, np.ones((4, 2001))
+    return Aperture(samples, np.zeros((48, 3)), sensor, np.eye(4, 3), gains, 3.0, moment, np.zeros((3, 3))), moment
+
+
+def test_the_poses_errors_turn_the_coherent_score_into_that_of_the_amplitudes():
+    """At exact poses no phase is explained by the poses. At poor ones each is, and only amplitudes count."""
+    rng = np.random.default_rng(3)
+    aperture, moment = twelve_moments()
     error = rng.normal(size=(12, 1)) * 0.3  # bins: 0.9 rad
     aperture.offset[:, :1] = error[moment]
     unit, explained = np.array([1.0, 0, 0]), []
@@ -542,13 +518,7 @@ def test_the_poses_errors_turn_the_coherent_score_into_that_of_the_amplitudes():
 
 
 def test_echoes_correct_the_positions_along_their_direction():
-    moment = np.repeat(np.arange(12), 4)
-    samples = np.zeros((48, 40, 2), np.float32)
-    samples[:, 18:22, 0] = 1.0
-    gains = np.ones((4, 2001))
-    aperture = Aperture(
-        samples, np.zeros((48, 3)), np.arange(48) % 4, np.eye(4, 3), gains, 3.0, moment, np.zeros((3, 3))
-    )
+    aperture, moment = twelve_moments()
     error = np.random.default_rng(3).normal(size=(12, 3)) * 0.2
     aperture.offset[:] = error[moment]
     poses = AperturePoses(aperture)
@@ -564,13 +534,7 @@ def test_echoes_correct_the_positions_along_their_direction():
 
 def test_large_errors_correct_nothing():
     """A phase does not say how many half wavelengths a position is off."""
-    moment = np.repeat(np.arange(12), 4)
-    samples = np.zeros((48, 40, 2), np.float32)
-    samples[:, 18:22, 0] = 1.0
-    gains = np.ones((4, 2001))
-    aperture = Aperture(
-        samples, np.zeros((48, 3)), np.arange(48) % 4, np.eye(4, 3), gains, 3.0, moment, np.zeros((3, 3))
-    )
+    aperture, moment = twelve_moments()
     aperture.offset[:, 0] = np.linspace(-0.5, 0.5, 12)[moment]
     given = aperture.offset.copy()
     poses = AperturePoses(aperture)
@@ -588,7 +552,7 @@ def test_a_hall_is_mapped_with_errors_of_3_mm_almost_as_at_exact_poses():
     exact = world.rig(loop(LONG_LOOP, rate=8.0), PLAN, seed=1)
     score = [
         ul.metrics.map_quality(ul.map_occupancy(frames, GRID, method="likelihood"), HALL, exact)["f1"].value
-        for frames in (exact, shaken(exact, 0.003))
+        for frames in (exact, world.shaken(exact, 0.003))
     ]
     assert score[1] > score[0] - 0.02
 

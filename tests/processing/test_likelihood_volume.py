@@ -8,7 +8,6 @@ import pytest
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
-from ullage.geometry import quat_matrix
 from ullage.kernels.volume_cells import Box, SpatialViews, find_hidden
 from ullage.processing.likelihood.volume_surfaces import CYLINDER, PLANE, PROJECTORS, transported
 from ullage.processing.occupancy import Mapper
@@ -18,7 +17,6 @@ from ullage.world.scene import Scene
 RIG = ul.Rig.preset("thesis-4").sensors
 LOW, HIGH = np.array([-2.0, -1.7, 0.0]), np.array([2.2, 1.9, 2.6])  # of the room
 GRID = ul.Grid.covering([LOW, HIGH], 0.1, dims=3, margin_m=0.5)
-NOISE = 5.4e-6
 
 
 def climbing(count=90, *, climb_m=0.9):
@@ -36,23 +34,7 @@ def crossing(count=70):
 
 
 def flown(path, *reflectors, seed=0):
-    """Frames of four sensors; a reflector gives range (n), direction (n, 3) and strength from places (n, 3)."""
-    out = {}
-    for number, (name, radar) in enumerate(RIG.items()):
-        true = path.mounted(radar.mount.body_from_sensor())
-        ahead = quat_matrix(true.quat_xyzw)[:, :, 0]
-        rng = np.random.default_rng([seed, number])
-        shape = (len(true), len(radar.range_m))
-        samples = NOISE * (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
-        for reflector in reflectors:
-            range_m, direction, strength = reflector(true.position)
-            gain = world.pattern(np.einsum("ij,ij->i", direction, ahead)) ** 2
-            level = strength * gain * radar.wavelength_m / (8 * np.pi * range_m)
-            phase = np.exp(-4j * np.pi / radar.wavelength_m * range_m)
-            pulse = np.exp(-0.5 * ((radar.range_m - range_m[:, None]) / (radar.pulse_sigma_s * ul.C0 / 2)) ** 2)
-            samples += (level * phase)[:, None] * pulse
-        out[name] = Frames(samples.astype(np.complex64), radar.range_m, true.t_ns, radar, true, true, name)
-    return out
+    return world.reflected(path, reflectors, axes=3, seed=seed)
 
 
 def plane(unit, distance_m, *, strength=0.5):
@@ -321,26 +303,15 @@ def test_a_known_floor_takes_its_echo_and_is_drawn_where_it_shows():
 def test_white_errors_of_the_poses_are_estimated_in_a_volume(sigma_m):
     some = slice(0, 60)
     frames = {name: part[some] for name, part in flown(climbing(250), *box_room()).items()}
-    assert mapped(with_errors(frames, sigma_m)).pose_sigma_m == pytest.approx(sigma_m, rel=0.35, abs=3e-4)
+    assert mapped(world.shaken(frames, sigma_m, seed=5)).pose_sigma_m == pytest.approx(sigma_m, rel=0.35, abs=3e-4)
 
 
 def test_a_room_is_mapped_with_errors_of_3_mm(room):
-    mapper = mapped(with_errors(flown(climbing(250), *box_room()), 0.003))
+    mapper = mapped(world.shaken(flown(climbing(150), *box_room()), 0.003, seed=5))
     assert mapper.pose_sigma_m > 0.002
     occupied = centres(mapper.map().occupied)
     assert np.mean(away_from_room(occupied) < 0.15) > 0.9
     assert len(occupied) > 0.5 * room[1].occupied.sum()
-
-
-def with_errors(frames, sigma_m):
-    """The same frames at believed positions with white errors, which all sensors share."""
-    count = len(next(iter(frames.values())))
-    error = np.random.default_rng(5).normal(size=(count, 3)) * sigma_m
-    out = {}
-    for name, part in frames.items():
-        moved = Trajectory(part.t_ns, part.believed.position + error, part.believed.quat_xyzw)
-        out[name] = Frames(part.samples, part.range_m, part.t_ns, part.spec, moved, part.believed, name)
-    return out
 
 
 def test_before_any_frame_a_volume_is_unknown():

@@ -25,7 +25,7 @@ SHORT_LOOP = np.array([(-1.7, -1.0), (1.7, -1.1), (1.8, 1.1), (-1.8, 1.0), (-1.7
 LONG_LOOP = np.array([(-2.3, -1.2), (2.3, -1.3), (2.4, 1.3), (-2.4, 1.2), (-2.3, -1.2)])
 
 
-def loop(corners=SHORT_LOOP, *, rate=12.5):
+def loop(corners=SHORT_LOOP, *, rate=9.0):
     way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     s = np.arange(0, way[-1], 0.5 / rate)
     xy = np.stack([np.interp(s, way, corners[:, k]) for k in (0, 1)], axis=1)
@@ -162,7 +162,7 @@ def test_a_gap_and_a_jump_are_never_joined(flight):
         warnings.simplefilter("ignore")
         assert score(ul.map_occupancy(holed, GRID, method="rules"), flight)["precision"] > 0.8
     front = flight["front"]
-    leap = front.believed.position + np.where(np.arange(len(front))[:, None] > 120, [0.0, 1.8, 0.0], 0.0)
+    leap = front.believed.position + np.where(np.arange(len(front))[:, None] > 120, [0.0, 2.4, 0.0], 0.0)
     with pytest.warns(ul.UllageWarning, match="jump 1 times, first at frame 121"):
         ul.map_occupancy(moved(front, Trajectory(front.t_ns, leap, front.believed.quat_xyzw)), GRID, method="rules")
 
