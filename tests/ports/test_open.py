@@ -82,3 +82,10 @@ def test_only_what_is_read_is_looked_through(tmp_path: Path) -> None:
     (tmp_path / "metadata.yaml").touch()
     with pytest.raises(ul.InputError, match="is a pipe"):
         ul.open(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["x.mcap", "x", "x.zarr", "x.lsf", "x.yaml"])
+def test_no_sink_makes_the_folder_of_a_mistyped_path(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"no folder .*nodir(/deep)? \(allowed: a folder that exists\)"):
+        ul.sink(tmp_path / "nodir/deep" / name) if name == "x" else ul.sink(tmp_path / "nodir" / name)
+    assert not (tmp_path / "nodir").exists()

@@ -17,7 +17,7 @@ from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.flight.airframe import GRAVITY_M_S2
-from ullage.flight.live import Steered
+from ullage.flight.live import Steered, Wish
 from ullage.flight.pilot import Pilot, PilotOptions
 from ullage.flight.vehicle import check_clear
 from ullage.geometry import quat_matrix
@@ -101,6 +101,7 @@ class State:
     spin: Floats  # (3) body [rad/s]
     force_m_s2: Floats  # (3) specific force in the body: acceleration less gravity
     velocity: Floats  # (3) world [m/s]
+    asked: Wish | None = None  # the command that the vehicle got for the step to here
 
 
 class HandFlight:
@@ -129,17 +130,17 @@ class HandFlight:
             if (wish := self.pilot.request(now_s)) is not None:
                 self.vehicle.ask(wish)
             self.vehicle.advance(due_ns)
-            out.append(self._state(due_ns))
+            out.append(self._state(due_ns, wish))
         return out
 
-    def _state(self, t_ns: int) -> State:
+    def _state(self, t_ns: int, asked: Wish | None) -> State:
         vehicle = self.vehicle
         velocity, step_s = vehicle.velocity, (vehicle.t_ns - self._last_ns) * 1e-9
         change = (velocity - self._velocity) / step_s if step_s > 0 else np.zeros(3)
         self._velocity, self._last_ns = velocity, vehicle.t_ns
         turn = quat_matrix(vehicle.quat_xyzw)
         force = turn.T @ (change + np.array([0.0, 0.0, GRAVITY_M_S2]))
-        return State(t_ns, vehicle.position, vehicle.quat_xyzw, vehicle.spin, force, velocity)
+        return State(t_ns, vehicle.position, vehicle.quat_xyzw, vehicle.spin, force, velocity, asked)
 
 
 class HandFlownSource(UnboundedSource):
@@ -249,6 +250,8 @@ class HandFlownSource(UnboundedSource):
 
     def _readings(self, state: State) -> Iterator[Passed]:
         t_ns = self._epoch_ns + state.t_ns
+        if state.asked is not None:
+            yield encode.command_message(t_ns, state.asked, state.quat_xyzw, frame_id=self._body)
         spin, force, variances = state.spin, state.force_m_s2, (0.0, 0.0)
         if self._imu is not None:
             number = round(state.t_ns * 1e-9 * self._options.state_hz)
