@@ -11,6 +11,7 @@ import pytest
 from conftest import some_frames
 
 import ullage as ul
+from ullage.errors import InputError
 from ullage.ports import Sink, Source
 
 
@@ -65,6 +66,7 @@ def test_options_that_do_not_apply_are_refused(tmp_path: Path) -> None:
 
 
 def test_every_folder_with_one_recording_opens(tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
     for path in (tmp_path / "run", tmp_path / "bag" / "bag_0.mcap"):
         with ul.sink(path) as sink:
             sink.write(some_frames(9))
