@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +118,24 @@ def test_frames_imu_and_sonar_come_out_and_the_controls_are_let_go() -> None:
     assert imu.header.frame_id == "base_link"
     assert imu.linear_acceleration.z == pytest.approx(9.81, abs=0.5)
     assert controls.closed
+
+
+def test_the_state_of_a_flight_that_takes_longer_than_real_time_comes_in_short_pieces() -> None:
+    class Slow(Script):
+        def update(self, pilot: Pilot, now_s: float) -> None:
+            time.sleep(0.08)  # for 0.02 s of flight
+
+    said, items = list[str](), list[Passed | ul.Trajectory]()
+    source = HandFlownSource(
+        ul.scenes.room(size_m=(6, 4, 3)), ul.Rig.preset("single"), FlyOptions(fidelity="thesis", duration_s=0.7),
+        Slow(), start=(0, 0, 0), log=said.append,
+    )  # fmt: skip
+    source.passing.to(items.append)
+    list(source.stream())
+    pieces = [len(item) for item in items if isinstance(item, ul.Trajectory)]
+    assert sum(pieces) >= 35
+    assert max(pieces) <= 3  # 0.05 s at 50 Hz
+    assert any("longer than real time" in line for line in said)
 
 
 def test_a_start_in_or_near_something_is_refused() -> None:

@@ -187,6 +187,7 @@ class HandFlownSource(UnboundedSource):
         self._epoch_ns = self._done_ns = self._touched = 0
         self._states: Inbox[State] = Inbox(self.counters)
         self._lost = 0  # states that were dropped before the last piece
+        self._slowed_s = 0.0  # by which the flight took longer than real time
         self._ending = False
         self._error: BaseException | None = None
         self._thread: threading.Thread | None = None
@@ -271,16 +272,21 @@ class HandFlownSource(UnboundedSource):
         self.flight.until(self.flight.vehicle.t_ns)
 
     def _fly(self) -> None:
-        """The flight's thread: advance to the present, again and again."""
-        begun = time.monotonic()
+        """The flight's thread: advance to the present in short steps, so that its state comes however slow it is."""
+        begun, flown_s, pace = time.monotonic(), 0.0, self._options.pace
         try:
             while not self._ending:
-                fresh = self.flight.until(int((time.monotonic() - begun) * self._options.pace * 1e9))
+                due_s = (time.monotonic() - begun) * pace
+                flown_s = min(due_s, flown_s + BATCH_S)
+                if due_s - flown_s > BEHIND_S:  # it does not try to catch up
+                    begun += (due_s - flown_s) / pace
+                    self._slowed_s += (due_s - flown_s) / pace
+                fresh = self.flight.until(int(flown_s * 1e9))
                 if fresh:
                     self.passing.give(partial(self._state_of, fresh))
                 for state in fresh:
                     self._states.put(state, topic=self._intake.topic)
-                time.sleep(STEP_S)
+                time.sleep(STEP_S if flown_s == due_s else 0.0)
         except BaseException as error:  # raised when frames are requested
             self._error = error
 
@@ -310,6 +316,8 @@ class HandFlownSource(UnboundedSource):
         if (touched := self.flight.vehicle.touched) > self._touched:
             self._touched = touched
             self._log_throttled("the vehicle touches something")
+        if self._slowed_s:
+            self._log_throttled(f"the flight itself takes {self._slowed_s:.1f} s longer than real time", kind="slow")
         if (behind_s := self._behind_s()) > BEHIND_S:
             self._log_throttled(
                 f"the radars are {behind_s:.1f} s behind the flight; {self._cheaper()} cost less",
