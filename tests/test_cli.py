@@ -212,6 +212,15 @@ def test_a_job_that_is_retitled_often_tells_little_without_a_terminal(capsys):
     assert capsys.readouterr().out == "reproducing\nthe first frames are recorded\n"
 
 
+def test_a_run_says_why_its_map_stays_empty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "still.yaml").write_text(
+        "{name: still, title: Still, world: {name: ntnu-room}, sensing: {rig: single, fidelity: thesis}, do: [map],"
+        " flight: {vehicle: ideal, waypoints: [[0, 0, 1.2], [0.001, 0, 1.2]], hover_s: 1}}"
+    )
+    told = Told(("run", "still.yaml"), tmp_path, capsys)
+    assert "No cell of the map is occupied: no radar moves 0.05 m" in told.stdout
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

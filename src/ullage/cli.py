@@ -310,7 +310,8 @@ def fly(
     from ullage.experiments.runner import execute
     from ullage.experiments.source_resolution import flight_scenario, make_flight, record, tasks_of
     from ullage.experiments.warmup import parts_of
-    from ullage.view.progress import log, progress_bar
+    from ullage.view.pilot_view import PilotView
+    from ullage.view.progress import console, log, progress_bar, shows_bars
     from ullage.view.viewer_output import keep_serving
 
     scenario = flight_scenario(variant_name(target, law=law), tasks=tasks_of(do), options=option or [])
@@ -318,8 +319,10 @@ def fly(
     compile_parts(parts)
     job = make_flight(scenario, by=by, duration_s=duration_s, out=out, log=log, to=to or [])
     recording = record(job)
-    with progress_bar("flying", total=duration_s, unit="s of flight") as bar:
-        report = execute(job, sinks=[recording], progress=bar, on_lag=bar.on_lag, log=bar.log)
+    seen = PilotView(columns=min(console.width, 80), rows=max(min(console.height - 8, 20), 1))
+    watching = [seen] if shows_bars() else []
+    with progress_bar("flying", total=duration_s, unit="s of flight", above=seen.lines) as bar:
+        report = execute(job, sinks=[recording, *watching], progress=bar, on_lag=bar.on_lag, log=bar.log)
     _print_summary(report)
     if not report.outcome.interrupted:
         keep_serving(job.sinks)

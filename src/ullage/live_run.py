@@ -198,6 +198,7 @@ class LiveLoop:
         self._done_ns: int | None = None
         self._most_behind_s = self._status_s = 0.0
         self._reported_lost = 0
+        self._on_lag: Callable[[float, int], None] | None = None
 
     @property
     def behind_s(self) -> float:
@@ -213,6 +214,7 @@ class LiveLoop:
 
         The first Ctrl-C ends the source, and what was received is worked off. The second one ends that too.
         """
+        self._on_lag = on_lag
         passing = self._source.passing
         passing.to(lambda item: self._publish(item, first=True))
         if self._lag_s and (keep_up := getattr(self._source, "keep_up", None)) is not None:
@@ -332,12 +334,14 @@ class LiveLoop:
         self._most_behind_s = max(self._most_behind_s, self.behind_s)
 
     def _report(self) -> None:
-        """Say once a second on `/diagnostics` how far map and image are behind."""
+        """Say once a second, also on `/diagnostics`, how far map and image are behind, however long they take."""
         now = time.monotonic()
         if now - self._status_s < STATUS_S:
             return
         self._status_s = now
         behind_s, lost = self.behind_s, self._backlog.lost
+        if self._on_lag is not None:
+            self._on_lag(behind_s, lost)
         late = behind_s > LATE_S or lost > self._reported_lost
         self._reported_lost = lost
         text = f"map and image are {behind_s:.1f} s behind" if late else "map and image keep up"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import os
 import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -112,10 +114,28 @@ def test_frames_imu_and_sonar_come_out_and_the_controls_are_let_go() -> None:
     assert {"frames simulated", "late frames", "dropped", "contacts"} <= {pair.key for pair in status.values}
     assert topics.count(IMU_TOPIC) >= 50
     assert topics.count(SONAR_TOPIC) >= 10
-    imu = ros.from_bytes(messages[0].kind, next(message.data for message in messages if message.topic == IMU_TOPIC))
+    imu = ros.from_bytes(ros.IMU, next(message.data for message in messages if message.topic == IMU_TOPIC))
     assert imu.header.frame_id == "base_link"
     assert imu.linear_acceleration.z == pytest.approx(9.81, abs=0.5)
     assert controls.closed
+
+
+def test_the_state_of_a_flight_that_takes_longer_than_real_time_comes_in_short_pieces() -> None:
+    class Slow(Script):
+        def update(self, pilot: Pilot, now_s: float) -> None:
+            time.sleep(0.08)  # for 0.02 s of flight
+
+    said, items = list[str](), list[Passed | ul.Trajectory]()
+    source = HandFlownSource(
+        ul.scenes.room(size_m=(6, 4, 3)), ul.Rig.preset("single"), FlyOptions(fidelity="thesis", duration_s=0.7),
+        Slow(), start=(0, 0, 0), log=said.append,
+    )  # fmt: skip
+    source.passing.to(items.append)
+    list(source.stream())
+    pieces = [len(item) for item in items if isinstance(item, ul.Trajectory)]
+    assert sum(pieces) >= 35
+    assert max(pieces) <= 3  # 0.05 s at 50 Hz
+    assert any("longer than real time" in line for line in said)
 
 
 def test_a_start_in_or_near_something_is_refused() -> None:
@@ -209,3 +229,26 @@ def test_imu_noise_has_the_density_of_the_data_sheet() -> None:
     rows = np.array([np.concatenate(unit.add(k, np.zeros(3), np.zeros(3))) for k in range(4000)])
     assert np.degrees(rows[:, :3].std()) == pytest.approx(0.05, rel=0.03)  # the data sheet's own figure for 98 Hz
     assert rows[:, 3:].std() == pytest.approx(400e-6 * 9.81 * math.sqrt(98), rel=0.03)
+
+
+def test_commands_are_recorded_as_the_vehicle_got_them_and_read_again(tmp_path: Path) -> None:
+    asked = [Velocity(0.3, -0.1, 0.2, 0.4), Velocity(9.0), (0.5, 0.25, 0.0)]
+
+    class Commands(Script):
+        def update(self, pilot: Pilot, now_s: float) -> None:
+            if asked and round(now_s * 50) % 5 == 0:
+                step = asked.pop(0)
+                pilot.command(step, now_s) if isinstance(step, Velocity) else pilot.go_to(step, 0.7)
+
+    options = FlyOptions(fidelity="thesis", duration_s=0.5, speed_m_s=0.8)
+    source = HandFlownSource(
+        ul.scenes.room(size_m=(6, 4, 3)), ul.Rig.preset("single"), options, Commands(), start=(0, 0, 0)
+    )
+    ul.run(source, sinks=[ul.sink(tmp_path / "flight.mcap")])
+    first, second, third = (wish for _, wish in ul.open(tmp_path / "flight.mcap").commands())
+    assert (first.velocity_m_s, first.climb_m_s, first.turn_rad_s) == ((0.3, -0.1), 0.2, 0.4)
+    assert second.velocity_m_s == pytest.approx((0.8, 0.0))  # within the limits
+    assert third.position_m == (0.5, 0.25, 0.0)
+    assert third.heading_rad == pytest.approx(0.7)
+    times = [t_ns for t_ns, _ in ul.open(tmp_path / "flight.mcap").commands()]
+    assert np.diff(times) == pytest.approx(1e8, abs=1)

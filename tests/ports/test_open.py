@@ -11,6 +11,7 @@ import pytest
 from conftest import some_frames
 
 import ullage as ul
+from ullage.errors import InputError
 from ullage.ports import Sink, Source
 
 
@@ -65,6 +66,7 @@ def test_options_that_do_not_apply_are_refused(tmp_path: Path) -> None:
 
 
 def test_every_folder_with_one_recording_opens(tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
     for path in (tmp_path / "run", tmp_path / "bag" / "bag_0.mcap"):
         with ul.sink(path) as sink:
             sink.write(some_frames(9))
@@ -82,3 +84,10 @@ def test_only_what_is_read_is_looked_through(tmp_path: Path) -> None:
     (tmp_path / "metadata.yaml").touch()
     with pytest.raises(ul.InputError, match="is a pipe"):
         ul.open(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["x.mcap", "x", "x.zarr", "x.lsf", "x.yaml"])
+def test_no_sink_makes_the_folder_of_a_mistyped_path(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"no folder .*nodir(/deep)? \(allowed: a folder that exists\)"):
+        ul.sink(tmp_path / "nodir/deep" / name) if name == "x" else ul.sink(tmp_path / "nodir" / name)
+    assert not (tmp_path / "nodir").exists()

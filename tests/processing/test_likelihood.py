@@ -1,5 +1,6 @@
 """The likelihood mapper: laws first, on echoes whose ranges are known in closed form."""
 
+import signal
 from dataclasses import replace
 
 import mirror_world as world
@@ -12,6 +13,7 @@ from ullage.grids import UNKNOWN
 from ullage.kernels.matched_sums import Aperture
 from ullage.processing.likelihood.direction_sums import DirectionSums
 from ullage.processing.likelihood.echoes import gains_of
+from ullage.processing.likelihood.keyframes import KeyframeSelector
 from ullage.processing.likelihood.mapper import LikelihoodMapper
 from ullage.processing.likelihood.poses import AperturePoses
 from ullage.processing.likelihood.spec import LikelihoodSpec
@@ -648,3 +650,27 @@ def test_another_radar_leads_where_the_frames_of_the_first_one_end():
     ended = mapped(frames | {first: frames[first][:20]}).map()
     without = mapped({name: part for name, part in frames.items() if name != first}).map()
     assert ended.occupied.sum() > 0.8 * without.occupied.sum()
+
+
+@pytest.mark.parametrize("pauses", [1, 3])
+def test_a_flight_that_hovers_while_all_radars_pause_goes_on(pauses: int) -> None:
+    times = np.concatenate([k * 3.0 + 0.05 * np.arange(20) for k in range(pauses + 1)])
+    x = np.concatenate([[0.0], 0.05 * (1 + np.arange(len(times) - 1) % 2)])  # it sways, less than a keyframe's step
+    path = ul.Trajectory(np.round(times * 1e9).astype(np.int64), np.stack([x, 0 * x, 0 * x], 1),
+                         np.tile([0.0, 0, 0, 1], (len(x), 1)))  # fmt: skip
+    frames = ul.simulate(ul.scenes.room(size_m=(6, 4, 3)), path, ul.Rig.preset("thesis-4"), fidelity="thesis")
+    selector = KeyframeSelector(LikelihoodSpec())
+    for part in frames.values():
+        selector.add(part)
+
+    def late(number: int, frame: object) -> None:
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(20)
+    try:
+        keys = list(selector.ready(finish=True))
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+    assert keys

@@ -250,6 +250,7 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
         places = job.map.scatterers if job.map is not None else []
         job.findings, found = verdict(part, maps[-1] if maps else None, places, job.marks, settled=job.settled)
         out |= {one.name: one for one in found}
+    job.findings = [*job.findings, *_why_empty(job, maps)]
     faults = job.health.lines()
     job.findings = [*job.findings, *(f"{fault}. Its frames of that time are not in the map." for fault in faults)]
     if faults:
@@ -269,6 +270,18 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
         except NoSurfaceError as error:  # a flight above all walls is a flight all the same
             job.findings = [*job.findings, f"The map has no scores: {error}."]
     return out
+
+
+def _why_empty(job: Run, maps: Sequence[OccupancyMap]) -> list[str]:
+    """Return why the last map has no occupied cell, by the frames that are kept; nothing where it has some."""
+    from ullage.processing.empty_map import why_empty
+    from ullage.processing.own_echo import without_own_echo
+
+    if not maps or maps[-1].occupied.any():
+        return []
+    received = job.sampled.frames()
+    cleaned = without_own_echo(received) if job.scenario.remove_own_echo else received
+    return [f"No cell of the map is occupied: {why_empty(received, cleaned, maps[-1].grid)}."]
 
 
 def _over_flight(job: Run, grid: Grid) -> list[tuple[float, OccupancyMap]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from ullage.world.scene import Scene
 
 Progress = Callable[[float], None]
 PIECE = 64
-"""Frames of a sensor in one piece of a flight in closed loop."""
+"""Frames of a sensor in one piece."""
+WATCHED_S = 0.5
+"""Longest piece of a flight that somebody watches, so that map and path come once a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +30,13 @@ class Simulated:
     believed: Trajectory
     rig: Rig
     received: tuple[dict[str, Frames], ...] = ()  # of a flight in closed loop, which needs its frames during the flight
+    piece: int = PIECE  # frames of a sensor that come at once
 
     def stream(self) -> Iterator[dict[str, Frames]]:
         """Give the frames of each radar, chunk by chunk."""
         if self.received:
-            for start in range(0, len(self.received), PIECE):
-                yield gathered(self.received[start : start + PIECE])
+            for start in range(0, len(self.received), self.piece):
+                yield gathered(self.received[start : start + self.piece])
             return
         from ullage.radar.simulate import simulate_stream
 
@@ -46,7 +49,13 @@ class Simulated:
             max_bounces=sensing.max_bounces,
             seed=self.scenario.seed,
             believed=self.believed,
+            chunk=self.piece,
         )
+
+    def watched(self) -> Simulated:
+        """Return the same in pieces of half a second."""
+        rate_hz = (len(self.flown) - 1) / max((self.flown.t_ns[-1] - self.flown.t_ns[0]) * 1e-9, 1e-9)
+        return replace(self, piece=min(max(int(WATCHED_S * rate_hz), 1), self.piece))
 
 
 def prepare(scenario: Scenario, *, scene: Scene | None = None, progress: Progress | None = None) -> Simulated:

@@ -18,7 +18,7 @@ from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
 from ullage.experiments.folder import RunFolder
 from ullage.experiments.run import Run, of_scenario
-from ullage.experiments.simulated import prepare
+from ullage.experiments.simulated import Simulated, prepare
 from ullage.pipeline import LOGGER, Sink, check_sink
 from ullage.pipeline import sink as open_sink
 from ullage.ports.arrays import refuse_pickle
@@ -175,6 +175,8 @@ def _begin(run: Run, to: Sequence[str], out: Path | None, *, force: bool = False
         place.check_free(force=force)
         live = [target for target in to if ":" in target]  # ports first: they leave nothing on the disk
         run.watched = bool(live)
+        if run.watched and isinstance(run.source, Simulated):
+            run.source = run.source.watched()
         run.sinks += [_opened(target, opened) for target in live]
         run.place = place.begin(force=force)
         opened.callback(place.discard)

@@ -114,7 +114,8 @@ class McapSink(Sink):
         if self.path.exists() and not overwrite:
             raise InputError("exists already", where=self.path, allowed="a new name, or overwrite=True")
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
+            if self.path != Path(path):
+                self.path.parent.mkdir(exist_ok=True)
             drain = Drain(self.path)
         except OSError as error:
             raise InputError(f"cannot write: {error.strerror}", where=self.path) from None

@@ -17,7 +17,7 @@ from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.flight.airframe import GRAVITY_M_S2
-from ullage.flight.live import Steered
+from ullage.flight.live import Steered, Wish
 from ullage.flight.pilot import Pilot, PilotOptions
 from ullage.flight.vehicle import check_clear
 from ullage.geometry import quat_matrix
@@ -101,6 +101,7 @@ class State:
     spin: Floats  # (3) body [rad/s]
     force_m_s2: Floats  # (3) specific force in the body: acceleration less gravity
     velocity: Floats  # (3) world [m/s]
+    asked: Wish | None = None  # the command that the vehicle got for the step to here
 
 
 class HandFlight:
@@ -129,17 +130,17 @@ class HandFlight:
             if (wish := self.pilot.request(now_s)) is not None:
                 self.vehicle.ask(wish)
             self.vehicle.advance(due_ns)
-            out.append(self._state(due_ns))
+            out.append(self._state(due_ns, wish))
         return out
 
-    def _state(self, t_ns: int) -> State:
+    def _state(self, t_ns: int, asked: Wish | None) -> State:
         vehicle = self.vehicle
         velocity, step_s = vehicle.velocity, (vehicle.t_ns - self._last_ns) * 1e-9
         change = (velocity - self._velocity) / step_s if step_s > 0 else np.zeros(3)
         self._velocity, self._last_ns = velocity, vehicle.t_ns
         turn = quat_matrix(vehicle.quat_xyzw)
         force = turn.T @ (change + np.array([0.0, 0.0, GRAVITY_M_S2]))
-        return State(t_ns, vehicle.position, vehicle.quat_xyzw, vehicle.spin, force, velocity)
+        return State(t_ns, vehicle.position, vehicle.quat_xyzw, vehicle.spin, force, velocity, asked)
 
 
 class HandFlownSource(UnboundedSource):
@@ -186,6 +187,7 @@ class HandFlownSource(UnboundedSource):
         self._epoch_ns = self._done_ns = self._touched = 0
         self._states: Inbox[State] = Inbox(self.counters)
         self._lost = 0  # states that were dropped before the last piece
+        self._slowed_s = 0.0  # by which the flight took longer than real time
         self._ending = False
         self._error: BaseException | None = None
         self._thread: threading.Thread | None = None
@@ -249,6 +251,8 @@ class HandFlownSource(UnboundedSource):
 
     def _readings(self, state: State) -> Iterator[Passed]:
         t_ns = self._epoch_ns + state.t_ns
+        if state.asked is not None:
+            yield encode.command_message(t_ns, state.asked, state.quat_xyzw, frame_id=self._body)
         spin, force, variances = state.spin, state.force_m_s2, (0.0, 0.0)
         if self._imu is not None:
             number = round(state.t_ns * 1e-9 * self._options.state_hz)
@@ -268,16 +272,21 @@ class HandFlownSource(UnboundedSource):
         self.flight.until(self.flight.vehicle.t_ns)
 
     def _fly(self) -> None:
-        """The flight's thread: advance to the present, again and again."""
-        begun = time.monotonic()
+        """The flight's thread: advance to the present in short steps, so that its state comes however slow it is."""
+        begun, flown_s, pace = time.monotonic(), 0.0, self._options.pace
         try:
             while not self._ending:
-                fresh = self.flight.until(int((time.monotonic() - begun) * self._options.pace * 1e9))
+                due_s = (time.monotonic() - begun) * pace
+                flown_s = min(due_s, flown_s + BATCH_S)
+                if due_s - flown_s > BEHIND_S:  # it does not try to catch up
+                    begun += (due_s - flown_s) / pace
+                    self._slowed_s += (due_s - flown_s) / pace
+                fresh = self.flight.until(int(flown_s * 1e9))
                 if fresh:
                     self.passing.give(partial(self._state_of, fresh))
                 for state in fresh:
                     self._states.put(state, topic=self._intake.topic)
-                time.sleep(STEP_S)
+                time.sleep(STEP_S if flown_s == due_s else 0.0)
         except BaseException as error:  # raised when frames are requested
             self._error = error
 
@@ -307,6 +316,8 @@ class HandFlownSource(UnboundedSource):
         if (touched := self.flight.vehicle.touched) > self._touched:
             self._touched = touched
             self._log_throttled("the vehicle touches something")
+        if self._slowed_s:
+            self._log_throttled(f"the flight itself takes {self._slowed_s:.1f} s longer than real time", kind="slow")
         if (behind_s := self._behind_s()) > BEHIND_S:
             self._log_throttled(
                 f"the radars are {behind_s:.1f} s behind the flight; {self._cheaper()} cost less",

@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 from ullage.arrays import Floats, Longs
 from ullage.data import Calibration, Detections, Frames, Trajectory
 from ullage.errors import InputError, UllageWarning
-from ullage.geometry import quat_matrix
+from ullage.geometry import quat_matrix, quat_rpy
 from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
 from ullage.ports import schema as ros
 from ullage.ports.turned import along_axes
 from ullage.specs import RadarSpec
+
+if TYPE_CHECKING:
+    from ullage.flight.live import Wish
 
 WORLD, BODY = "map", "base_link"  # names of REP-105
 OCCUPIED_FROM = 65  # percent, as map_server has it
@@ -235,6 +238,21 @@ def _placement(message: Any, at: Any, turn: Any) -> Placement:
 def stamp_ns(header: Any) -> int:
     """Return the time of a header [ns]."""
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def command_of(kind: str, data: bytes) -> tuple[int, Wish]:
+    """Return the time [ns] and the command in a message of `ros.PILOT_VELOCITY` or `ros.PILOT_PLACE`."""
+    from ullage.flight.live import Wish
+
+    message = ros.from_bytes(kind, data)
+    if kind == ros.TWIST_STAMPED:
+        linear, turn = message.twist.linear, message.twist.angular.z
+        return stamp_ns(message.header), Wish(
+            velocity_m_s=(linear.x, linear.y), climb_m_s=linear.z, turn_rad_s=turn
+        )  # fmt: skip
+    at, turned = message.pose.position, message.pose.orientation
+    heading = float(quat_rpy((turned.x, turned.y, turned.z, turned.w))[2])
+    return stamp_ns(message.header), Wish(position_m=(at.x, at.y, at.z), heading_rad=heading)
 
 
 def cloud_messages(t_ns: Longs, points: NDArray[np.void], *, frame_id: str, dense: bool = True) -> list[bytes]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,16 @@ from numpy.typing import NDArray
 from ullage.arrays import Bools, Floats
 from ullage.data import Detections, Frames, Trajectory
 from ullage.fan import drawn_rays
-from ullage.geometry import matrix_quat
+from ullage.geometry import matrix_quat, quat_rpy, rpy_quat
 from ullage.grids import Image, OccupancyMap
 from ullage.ports import schema as ros
 from ullage.ports.conversions import PROFILE, STRAIGHT, WORLD, cloud_messages, level_m
+from ullage.ports.protocol import Passed
 from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
+
+if TYPE_CHECKING:
+    from ullage.flight.live import Wish
 
 SCAN_DIRECTIONS = 72
 MOST_TRIANGLES = 50_000
@@ -109,6 +113,26 @@ def imu_message(
         "linear_acceleration": tuple(acceleration_m_s2), "linear_acceleration_covariance": pushing,
     }  # fmt: skip
     return ros.encoded(ros.IMU, fields, t_ns=t_ns, frame_id=frame_id)
+
+
+def command_message(t_ns: int, wish: Wish, quat_xyzw: Floats, *, frame_id: str) -> Passed:
+    """Encode a pilot's command, a velocity or a set-point, as the vehicle got it.
+
+    Args:
+        t_ns: when [ns].
+        wish: the command.
+        quat_xyzw: the vehicle's attitude (4), whose heading a set-point without one keeps.
+        frame_id: of the body.
+    """
+    if wish.position_m is None:
+        forward, left = wish.velocity_m_s or (0.0, 0.0)
+        twist = {"linear": (forward, left, wish.climb_m_s or 0.0), "angular": (0.0, 0.0, wish.turn_rad_s or 0.0)}
+        data = ros.encoded(ros.TWIST_STAMPED, {"twist": twist}, t_ns=t_ns, frame_id=frame_id)
+        return Passed(t_ns, ros.PILOT_VELOCITY, ros.TWIST_STAMPED, data)
+    heading = float(quat_rpy(quat_xyzw)[2]) if wish.heading_rad is None else wish.heading_rad
+    pose = {"position": wish.position_m, "orientation": tuple(rpy_quat(0.0, 0.0, heading))}
+    data = ros.encoded(ros.POSE, {"pose": pose}, t_ns=t_ns, frame_id=WORLD)
+    return Passed(t_ns, ros.PILOT_PLACE, ros.POSE, data)
 
 
 def clock_messages(times_ns: Sequence[int]) -> list[bytes]:

@@ -157,6 +157,7 @@ def sink(target: str | Path, **options: Any) -> Sink:
         return address.sink()
     if address:
         raise InputError("not something to write to", where=target, allowed=SINKS)
+    check_beside(path)
     if kind in MAPS:
         return MapSink(path, **options)
     if path.name.lower().endswith(LOGS):

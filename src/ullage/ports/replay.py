@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from ullage.ports import conversions
 from ullage.ports import schema as ros
 from ullage.ports.intake import Clock, Counters, Stamped, Stream
 from ullage.ports.protocol import one_or_all
+
+if TYPE_CHECKING:
+    from ullage.flight.live import Wish
 
 SHORTEST = 20
 """A message with a header and a name is longer [bytes]."""
@@ -142,6 +145,12 @@ class McapSource:
         """Return the estimated path of the body, if known."""
         messages = [data for _, data in self._messages(ros.ODOMETRY, topic="/odom")]
         return conversions.odometry_path(messages) if messages else None
+
+    def commands(self) -> list[tuple[int, Wish]]:
+        """Return the commands of whoever flew by hand, each with its time [ns]."""
+        wanted = {f"/{ros.PILOT_VELOCITY}": ros.TWIST_STAMPED, f"/{ros.PILOT_PLACE}": ros.POSE}
+        found = ((kind, data) for topic, kind, data in self.messages(*wanted.values()) if wanted.get(topic) == kind)
+        return [conversions.command_of(kind, data) for kind, data in found]
 
     def map(self) -> OccupancyMap | None:
         """The last map recorded, where there is one."""

@@ -47,6 +47,8 @@ TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"
 MARKERS = "visualization_msgs/msg/MarkerArray"
 CLOCK = "rosgraph_msgs/msg/Clock"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+PILOT_VELOCITY, PILOT_PLACE = "pilot/cmd_vel", "pilot/pose"
+"""Topics of the commands that a vehicle got: what is published on `cmd_vel` would come back as a command."""
 
 DEFINITIONS = {
     FRAME: """\
@@ -159,6 +161,10 @@ TOPICS = {
     "/tf_static": Topic(TRANSFORMS, "latched", "`map` to `odom`, and `base_link` to each radar (REP-105)"),
     "odom": Topic(ODOMETRY, "stream", "pose and velocity of the body, as believed"),
     "truth/odom": Topic(ODOMETRY, "stream", "the same as it was, in a simulation"),
+    PILOT_VELOCITY: Topic(
+        TWIST_STAMPED, "relayed", "by hand: each velocity command within its limits, level in the heading; 0: hover"
+    ),
+    PILOT_PLACE: Topic(POSE, "relayed", "by hand: each set-point, in `map`"),
     "path": Topic(PATH, "latched", "path of the body, once a second, less often as it grows"),
     "map": Topic(GRID, "latched", "plane map, whole: at first, every `map_full_s`, for new subscribers, at the end"),
     "map_updates": Topic(UPDATE, "stream", "the box of cells that changed, between whole maps"),

@@ -6,13 +6,13 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 
@@ -125,8 +125,32 @@ class ProgressBar:
             log(text)
 
 
+class _Progress(Progress):
+    """Bars with lines above them."""
+
+    above: Callable[[], list[str]] | None = None
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """Return what is shown: the lines, then the bars."""
+        if self.above is not None:
+            yield Text("\n".join(self.above()), no_wrap=True, overflow="crop")
+        yield from super().get_renderables()
+
+
+def shows_bars() -> bool:
+    """Return whether progress is drawn: stdout is a terminal, and `--quiet` is not given."""
+    return console.is_terminal and not _quiet()
+
+
 @contextmanager
-def progress_bar(title: str, *, total: float | None, unit: str = "", rated: bool = False) -> Iterator[ProgressBar]:
+def progress_bar(
+    title: str,
+    *,
+    total: float | None,
+    unit: str = "",
+    rated: bool = False,
+    above: Callable[[], list[str]] | None = None,
+) -> Iterator[ProgressBar]:
     """A progress bar for one job; call what it yields with the amount done.
 
     Args:
@@ -134,6 +158,7 @@ def progress_bar(title: str, *, total: float | None, unit: str = "", rated: bool
         total: amount in all.
         unit: of the amounts.
         rated: show the rate since the first call, and the remaining time at that rate; for jobs with few long steps.
+        above: gives lines that are shown above the bar on a terminal.
     """
     if not console.is_terminal:
         log(title)
@@ -144,6 +169,7 @@ def progress_bar(title: str, *, total: float | None, unit: str = "", rated: bool
         TimeElapsedColumn(),
         *((TextColumn("{task.fields[forecast]}"),) if rated else left if total else ()),
     )
-    with Progress(*columns, console=console, disable=_quiet() or not console.is_terminal) as bar:
+    with _Progress(*columns, console=console, disable=not shows_bars()) as bar:
+        bar.above = above
         task = bar.add_task(title, total=total, forecast="")
         yield ProgressBar(bar, task, title, total, unit, time.monotonic(), rated)

@@ -220,7 +220,6 @@ def _save(rec: Any, path: Path, overwrite: bool) -> None:
     if path.exists() and not overwrite:
         raise InputError("exists already", where=path, allowed="a new name, or overwrite=True")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         path.open("wb").close()
         rec.save(path)
     except (OSError, RuntimeError) as error:

@@ -13,6 +13,7 @@ from imc_peer import Follower, Peer
 
 import ullage as ul
 from ullage.errors import InputError, UllageWarning
+from ullage.ports import schema as ros
 from ullage.ports.imc import backseat
 from ullage.ports.imc.codec import Packet, encode, make
 from ullage.ports.imc.source import ImcSource
@@ -157,6 +158,28 @@ def test_a_controller_on_the_bus_sets_the_height_of_our_multirotor() -> None:
     assert len(frames) >= 45
     assert frames.poses.position[0, 2] == pytest.approx(1.0, abs=1e-3)
     assert frames.poses.position[-1, 2] == pytest.approx(2.0, abs=0.02)
+
+
+def test_the_path_and_the_commands_of_a_flight_come_before_frames_that_are_late() -> None:
+    controller, came = HeightController(), list[object]()
+    asked = "fly=hector&start=0,0,1&world=ntnu-room&fidelity=thesis&rig=single&rate_hz=5&pace=3"
+    with Peer(react=controller.react) as peer, ul.open(f"imc:{peer.place}?{asked}") as source:
+        source.passing.to(came.append)
+        stream = source.stream()
+        next(piece for piece in stream if piece)
+        source.keep_up(0.5)
+        flown = sum(len(item) for item in came if isinstance(item, ul.Trajectory))
+        end = time.monotonic() + 20.0
+        while time.monotonic() < end and sum(len(i) for i in came if isinstance(i, ul.Trajectory)) < flown + 80:
+            time.sleep(0.02)  # nobody asks for frames meanwhile
+        assert source.behind_s > 1.0
+        paths = [item for item in came if isinstance(item, ul.Trajectory)]
+        assert sum(map(len, paths)) >= flown + 80
+        after = next(piece for piece in stream if piece)
+        assert source.counters.dropped("lost", topic="frames") > 0  # and what is used is of now
+        assert next(iter(after.values())).t_ns[0] > paths[-1].t_ns[-1] - 3e9
+    packets = [item for item in came if getattr(item, "topic", "") == "imc/packet"]
+    assert any(ros.from_bytes(ros.RAW, item.data).name == "DesiredZ" for item in packets)
 
 
 def forces(newton: float) -> bytes:

@@ -71,3 +71,45 @@ def test_a_remapping_that_is_none_is_one_line(network: Network) -> None:
     flight = network.start("fly.py", "1", "ros2:?remap=odom")
     _, err = flight.communicate(timeout=60)
     assert "not a remapping 'odom' (allowed: FROM:=TO, with commas between)" in err.strip().splitlines()[-1]
+
+
+@pytest.mark.parametrize("later_s", [0.0, 0.7])
+def test_two_drones_share_a_clock_that_never_falls_and_a_tree(network: Network, later_s: float) -> None:
+    timer, tree = network.ready("timing.py"), network.ready("tree.py")
+    flights = []
+    for name in ("drone1", "drone2"):
+        flights.append(network.start("fly.py", "30", f"ros2:/{name}?frame_prefix={name}/"))
+        time.sleep(later_s)
+    moves = {f"{name}/odom>{name}/base_link" for name in ("drone1", "drone2")}
+    lines_until(tree, lambda found: found >= moves)
+    time.sleep(2.0)
+    clock = result_of(timer, stop=True)["clock"]
+    for flight in flights:
+        flight.kill()
+    tree.communicate(timeout=30)
+    assert clock["falls"] == 0
+    assert clock["count"] > 40
+
+
+LISTENER = """
+import json, time
+from ullage.data import Trajectory
+from ullage.ports.conversions import transform_messages
+from ullage.ports.publisher import on
+from ullage.ports.ros2.middleware import Peer
+from ullage.ports.ros2.options import NodeOptions
+peer = Peer("/drone1", NodeOptions())
+peer.spin()
+peer.claim("/drone1/odom")  # as a source of its poses does
+while not peer.others("/tf"):
+    time.sleep(0.05)
+(data,) = transform_messages("drone1/base_link", Trajectory.stationary(n=1), parent="drone1/odom")
+print(json.dumps(peer.send(on("/tf", 0, data))))
+peer.close()
+"""
+
+
+def test_a_drone_that_listens_to_its_own_poses_tells_its_place_beside_another_one(network: Network) -> None:
+    robot = network.ready("robot.py", "earth>drone2/base_link")
+    assert result_of(network.start("-c", LISTENER)) is True
+    robot.communicate(timeout=30)

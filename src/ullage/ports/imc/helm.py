@@ -10,18 +10,22 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any, Protocol
 
 from ullage.arrays import Floats
+from ullage.data import Trajectory
 from ullage.flight.live import Steered, Wish
+from ullage.ports.cosimulation import PIECE_S
 from ullage.ports.drone import Guided
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import NOBODY, Message, Packet, make
-from ullage.ports.imc.geodetic import Pose, state_of
+from ullage.ports.imc.geodetic import Pose, path_along, state_of
 from ullage.ports.imc.link import Link
-from ullage.ports.intake import Log
+from ullage.ports.intake import Inbox, Log
 from ullage.ports.ned import SWAP
+from ullage.ports.protocol import Passing
 
 DEPTH, ALTITUDE, HEIGHT = 1, 2, 3
 METRES_A_SECOND = 0
@@ -340,28 +344,30 @@ class Helm:
 
 
 class Flight:
-    """Run the helm in a thread, so that the simulation of radars does not delay the flight.
+    """Run the helm in a thread, so that the simulation of radars delays neither the flight nor its state.
 
     Args:
         helm: carries out the commands of the controller.
         link: to the controller.
+        take: called with each packet of the controller.
+        passing: gets the path at once.
     """
 
-    def __init__(self, helm: Helm, link: Link) -> None:
-        self._helm, self._link = helm, link
-        self._poses: list[Pose] = []
-        self._lock = threading.Condition()
+    def __init__(self, helm: Helm, link: Link, *, take: Callable[[Packet], None], passing: Passing) -> None:
+        self._helm, self._link, self._take, self._passing = helm, link, take, passing
+        self.inbox: Inbox[Pose] = Inbox(link.counters)
         self._ending = False
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="imc-flight", daemon=True)
         self._thread.start()
 
     def poses(self, timeout_s: float) -> list[Pose]:
-        """Return the poses since the last call; wait for one until the timeout."""
-        with self._lock:
-            if not self._poses:
-                self._lock.wait(timeout_s)
-            found, self._poses = self._poses, []
+        """Return the poses that wait, at most those of `PIECE_S`; wait for one until the timeout."""
+        found: list[Pose] = []
+        while (pose := self.inbox.get(0.0 if found else timeout_s)) is not None:
+            found.append(pose)
+            if pose.t_ns - found[0].t_ns >= PIECE_S * 1e9:
+                break
         if self._error is not None:
             raise self._error
         return found
@@ -371,11 +377,11 @@ class Flight:
             while not self._ending and not self._link.finished:
                 for packet in self._link.receive(0.01):
                     self._helm.take(packet)
-                fresh = self._helm.fly()
-                with self._lock:
-                    self._poses += fresh
-                    if fresh:
-                        self._lock.notify_all()
+                    self._take(packet)
+                if fresh := self._helm.fly():
+                    self._passing.give(partial(_path_of, fresh))
+                for pose in fresh:
+                    self.inbox.put(pose, topic="flight")
         except BaseException as error:  # `poses` raises it
             self._error = error
 
@@ -384,3 +390,7 @@ class Flight:
         self._ending = True
         self._thread.join(3.0)
         self._helm.close()
+
+
+def _path_of(poses: list[Pose]) -> Iterator[Trajectory]:
+    yield path_along(poses)

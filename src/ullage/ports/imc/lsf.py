@@ -176,7 +176,6 @@ class LsfSink:
         if self.path.exists() and not self._options.overwrite:
             raise InputError("exists already", where=self.path, allowed="a new name, or overwrite=True")
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
             zipped = self.path.suffix == ".gz"
             self._file: Any = gzip.open(self.path, "wb") if zipped else open(self.path, "wb")  # noqa: SIM115
         except OSError as error:

@@ -19,7 +19,7 @@ from ullage.ports.imc.link import Link, Role, leave, open_link
 from ullage.ports.imc.options import SourceOptions, numbers_of, scene_path
 from ullage.ports.imc.relay import passed
 from ullage.ports.imc.wires import Entity, Identity
-from ullage.ports.intake import Covered, Log, warn
+from ullage.ports.intake import Covered, Inbox, Log, warn
 from ullage.ports.live import Address
 from ullage.ports.protocol import Passing, one_or_all
 from ullage.specs import Rig
@@ -141,7 +141,7 @@ class ImcSource:
         o = self._options
         home = self._track.origin = o.place() or TRONDHEIM
         helm = Helm(vehicle, self._link, origin=home, timeout_s=o.timeout_s, log=self._log)
-        return Flight(helm, self._link)
+        return Flight(helm, self._link, take=self._relay, passing=self.passing)
 
     def _lead_vehicle(self, points: list[tuple[float, ...]]) -> Backseat:
         from ullage.flight.missions import Waypoints
@@ -212,18 +212,27 @@ class ImcSource:
 
     def _pass_on(self, packet: Packet) -> None:
         """Give a packet to the relay, the frame assembler and the backseat."""
-        if self._options.relay and packet.src != self._options.system_id:
-            known = self._track.poses
-            at_ns = known[-1].t_ns if known else time.time_ns()
-            self.passing.give(partial(passed, packet, at_ns, typed=self._options.typed))
+        self._relay(packet)
         if self._radars is None:
             self._assembler.take(packet)
         if self._backseat is not None:
             self._backseat.take(packet)
 
+    def _relay(self, packet: Packet) -> None:
+        """Pass a packet on, as it came."""
+        if self._options.relay and packet.src != self._options.system_id:
+            known = self._track.poses
+            at_ns = known[-1].t_ns if known else time.time_ns()
+            self.passing.give(partial(passed, packet, at_ns, typed=self._options.typed))
+
+    @property
+    def _inbox(self) -> Inbox[Any]:
+        """The queue of poses that wait for frames."""
+        return self._link.events if self._flight is None else self._flight.inbox
+
     def _skip_lost(self, t_ns: int) -> None:
         """Leave out the frames along poses that were dropped because they waited too long."""
-        if (lost := self._link.events.lost) > self._lost:
+        if (lost := self._inbox.lost) > self._lost:
             self._lost = lost
             count = self._radars.skip(t_ns)
             self.counters.drop("frames", "lost", f"more than {self._limit_s:g} s late", count=count)
@@ -261,15 +270,15 @@ class ImcSource:
     @property
     def behind_s(self) -> float:
         """How long the oldest message waits already [s]."""
-        return self._link.events.behind_s
+        return self._inbox.behind_s
 
     def keep_up(self, lag_s: float) -> None:
         """From now on leave out what is later than this [s]."""
-        self._link.events.lag_s = self._limit_s = lag_s
+        self._inbox.lag_s = self._limit_s = lag_s
 
     def stop(self) -> None:
         """End the stream after what has come so far; safe to call from another thread."""
-        self._link.events.lag_s = None
+        self._inbox.lag_s = None
         self._stopping = True
 
     def close(self) -> None:

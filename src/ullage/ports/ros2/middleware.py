@@ -9,6 +9,8 @@ from __future__ import annotations
 import importlib
 import re
 import threading
+import time
+import uuid
 import warnings
 from collections import Counter
 from collections.abc import Callable
@@ -16,9 +18,10 @@ from contextlib import suppress
 from typing import Any
 
 from ullage.errors import InputError, UllageWarning, need
+from ullage.ports import schema as ros
 from ullage.ports.publisher import Message
 from ullage.ports.ros2.options import NodeOptions
-from ullage.ports.ros2.sharing import ONE_PUBLISHER, TRANSFORMS, Sharing
+from ullage.ports.ros2.sharing import ENTERED_S, ONE_PUBLISHER, TRANSFORMS, Sharing
 from ullage.ports.schema import QUALITIES, Quality
 
 TAKEN: set[str] = set()
@@ -88,6 +91,9 @@ class Peer:
         self.node = node
         self._publishers: dict[str, Any] = {}
         self._subscriptions: list[Any] = []
+        self._entered: dict[
+            str, tuple[str, float]
+        ] = {}  # by topic: a hidden topic of ours, and when others know it [s]
         self._sharing = Sharing(self)
         self._reported: set[str] = set()
         self._claimed: set[str] = set()
@@ -158,6 +164,30 @@ class Peer:
             self.node.destroy_publisher(out)
             OWN[self.resolved(topic)] -= 1
 
+    def enter(self, topic: str) -> float:
+        """Enter for a topic that one node of ullage publishes for all; return the time until all are known [s]."""
+        if topic not in self._entered:
+            name = f"{self.resolved(topic)}/_ullage/_{uuid.uuid4().hex}"
+            self.publisher(name, ros.CLOCK, "stream")
+            self._entered[topic] = name, time.monotonic() + ENTERED_S
+        return max(0.0, self._entered[topic][1] - time.monotonic())
+
+    def leads(self, topic: str) -> bool:
+        """Return whether this node publishes a topic already, or is the first of those that have entered for it."""
+        if self._publishers.get(topic) is not None:
+            return True
+        if self.enter(topic):
+            return False
+        name = self._entered[topic][0]
+        area = name.rpartition("/")[0]
+        return all(name <= other for other, _ in self.node.get_topic_names_and_types() if other.startswith(area))
+
+    def leave(self, topic: str) -> None:
+        """Leave a topic to the others that have entered for it."""
+        self.withdraw(topic)
+        if topic in self._entered:
+            self.withdraw(self._entered.pop(topic)[0])
+
     def others(self, topic: str) -> bool:
         """Return whether another program publishes a topic."""
         name = self.resolved(topic)
@@ -170,8 +200,6 @@ class Peer:
             return False
         if topic in ONE_PUBLISHER and not self._sharing.allows(topic):
             return False
-        if topic in TRANSFORMS and TAKEN and self.others(topic):
-            return False  # we listen to a robot that has a tree of its own
         sent = False
         for found in self._sharing.transforms(message) if topic in TRANSFORMS else [message]:
             out = self.publisher(found.topic, found.kind, found.quality, reliable=reliable)

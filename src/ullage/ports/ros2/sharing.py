@@ -15,11 +15,14 @@ from ullage.ports import schema as ros
 from ullage.ports.publisher import Message
 from ullage.ports.schema import Quality
 
-ONE_PUBLISHER = {"/clock", "odom", "truth/odom"}
+CLOCK = "/clock"
+ONE_PUBLISHER = {CLOCK, "odom", "truth/odom"}
 """Topics that make sense from one node only."""
 TRANSFORMS: dict[str, Quality] = {"/tf": "transforms", "/tf_static": "latched"}
 CHECK_S = 0.1
 """How often the graph is asked who publishes [s]."""
+ENTERED_S = 1.0
+"""By then a node that has entered for a topic knows all others that had [s]."""
 RETRY_S = (1.0, 3.0)
 """A topic that others have left is taken up after a random time between these [s]: two nodes may both be waiting."""
 SENT: deque[int] = deque(maxlen=2000)
@@ -34,6 +37,9 @@ class Publishing(Protocol):
 
     def withdraw(self, topic: str) -> None:
         """Stop publishing a topic."""
+
+    def leads(self, topic: str) -> bool:
+        """Return whether this node publishes a topic already, or is the first of those that have entered for it."""
 
     def listen(
         self, topic: str, kind: str, quality: Quality, take: Callable[[bytes], None], *, depth: int | None = None
@@ -58,14 +64,17 @@ class Sharing:
         self._fixed_without: set[str] = set()  # child frames left out of it
 
     def allows(self, topic: str) -> bool:
-        """Return whether this node may publish a topic that only one node should publish."""
+        """Return whether this node may publish a topic that only one node should publish.
+
+        Nodes of ullage that start together enter for the clock before any of them publishes it, so it never falls.
+        """
         now = time.monotonic()
         if self._others_on(topic):
             self._node.withdraw(topic)
             self._retry_s[topic] = now + random.uniform(*RETRY_S)
             self._report(topic, f"others publish {topic}; it is left to them")
             return False
-        return now >= self._retry_s.get(topic, 0.0)
+        return now >= self._retry_s.get(topic, 0.0) and (topic != CLOCK or self._node.leads(topic))
 
     def transforms(self, message: Message) -> list[Message]:
         """Return the messages to send for one of /tf or /tf_static, without the frames that other nodes publish.

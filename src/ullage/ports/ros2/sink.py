@@ -17,6 +17,7 @@ from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_prese
 from ullage.ports.rate_limiter import LATE_S, RateLimiter, StampOrder
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import SinkOptions
+from ullage.ports.ros2.sharing import CLOCK
 from ullage.processing.health import HealthMonitor
 
 AHEAD_S = 2.0
@@ -109,6 +110,8 @@ class Ros2Sink(Sink):
                 if message.quality == "relayed":
                     self._sent += self._peer.send(message)
                     continue
+                if message.topic == CLOCK:
+                    self._closing.wait(self._peer.enter(CLOCK))
                 self._wait(message.t_ns)
                 self._sent += self._peer.send(message, reliable=self._options.reliable or None)
                 self._report(message.t_ns)
@@ -177,6 +180,7 @@ class Ros2Sink(Sink):
             self._messages.put(None)
             thread.join()
             self._peer.settle(1.0)
+            self._peer.leave(CLOCK)
             time.sleep(self._options.linger_s)
         finally:
             self._peer.close()

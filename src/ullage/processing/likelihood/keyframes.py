@@ -55,6 +55,7 @@ class Channel:
     rows: deque[Row] = field(default_factory=deque)
     seen_ns: int = NEVER_NS  # time of its last frame
     waited_ns: int = 0  # longest time without a frame since the last row
+    led_ns: int = NEVER_NS  # time of the last row with which it led: it does not lead with that again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,6 +134,7 @@ class KeyframeSelector:
         while self._leads() or self._hand_over(finish=finish):
             rows = self._channels[self._leading].rows
             centre = rows[self._next]
+            self._channels[self._leading].led_ns = centre.t_ns
             if self._last is not None and np.linalg.norm(centre.position - self._last.position) < self._spec.keyframe_m:
                 self._next += 1
                 continue
@@ -158,7 +160,8 @@ class KeyframeSelector:
             return False
         until_ns = newest if waits else leader.rows[self._next].t_ns
         for name, channel in self._channels.items():
-            later = [k for k, row in enumerate(channel.rows) if last.t_ns < row.t_ns < until_ns]
+            since_ns = max(last.t_ns, channel.led_ns)
+            later = [k for k, row in enumerate(channel.rows) if since_ns < row.t_ns < until_ns]
             if channel is not leader and later and channel.rows[later[0]].gap_ns <= GAP_NS:
                 self._leading, self._next = name, later[0]
                 self._last = _nearest(channel, last.t_ns)
