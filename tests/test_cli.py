@@ -212,6 +212,20 @@ def test_a_job_that_is_retitled_often_tells_little_without_a_terminal(capsys):
     assert capsys.readouterr().out == "reproducing\nthe first frames are recorded\n"
 
 
+def test_a_job_of_an_hour_writes_few_lines_without_a_terminal_and_says_what_is_left(capsys, monkeypatch):
+    from ullage.view import progress
+
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    with progress.progress_bar("mapping", total=3600.0, unit="s of flight") as bar:
+        for second in range(3600):
+            now[0] = float(second)
+            bar(now[0])
+    said = capsys.readouterr().out.splitlines()
+    assert said[:2] == ["mapping", "mapping: 1 %, 0:59:39 left"]
+    assert len(said) < 8
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

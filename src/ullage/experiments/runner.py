@@ -63,7 +63,7 @@ def execute(
     try:
         write_text(job.folder / "scenario.yaml", scenario_text(job.scenario))
         job.place.mark_running()
-        outcome = _receive(job, sinks, progress, on_lag, log if draw else None)
+        outcome = _receive(job, sinks, progress, on_lag, draw=draw and not job.live)
         report = _finish(job, outcome, log if draw else None)
     except BaseException as error:
         _keep_what_came(job, error)
@@ -77,13 +77,17 @@ def _receive(
     sinks: Sequence[Sink],
     progress: Callable[[float], None] | None,
     on_lag: Callable[[float, int], None] | None,
-    log: Log | None,
+    *,
+    draw: bool,
 ) -> Outcome:
-    """Run the loop; the map so far is saved every minute, and drawn once where `log` can say so."""
+    """Run the loop; the map so far is saved every minute, and drawn once where figures are wanted."""
     stages = _stages(job)
     wall, cpu = time.perf_counter(), time.process_time()
-    draw = None if job.live or log is None else lambda omap: log(f"first picture: {_draw_map(job, omap)}")
-    keeping: list[Sink] = [MapSaver(job.folder, draw=draw), job.history]
+
+    def first_picture(omap: OccupancyMap) -> None:
+        LOGGER.info("first picture: %s", _draw_map(job, omap))
+
+    keeping: list[Sink] = [MapSaver(job.folder, draw=first_picture if draw else None), job.history]
     if job.obstacles is not None:
         keeping.append(job.obstacles)
     given = [*sinks, *job.sinks, *keeping]
