@@ -30,7 +30,10 @@ class MapSaver:
     every_s: float = EVERY_S
     draw: Callable[[OccupancyMap], None] | None = None
     _saved_s: float = -float("inf")
-    _started_s: float = field(default_factory=lambda: time.monotonic())
+    _started_s: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._started_s = time.monotonic()
 
     def write(self, item: Any) -> None:
         """Save a map if the last one is old enough; everything else passes by.
