@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 # byte code is kept: without it every start of a process compiles two thousand files first
 unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip --disable-pip-version-check --require-virtualenv
+# what pip says is for those whose installation fails; modules are compiled when they are first imported
+install = @$(PIP) install --no-compile $(1) > $(VENV)/pip.log 2>&1 || { cat $(VENV)/pip.log >&2; exit 1; }
 
 .PHONY: help demo thesis test slow statements bounds mutants fuzz gazebo-classic lint docs package urls bench check env dev lock view ros2 clean
 .DEFAULT_GOAL := help
@@ -67,7 +69,7 @@ fuzz: $(VENV)/.fuzz
 	$(BIN)/python tests/fuzz/fuzz.py --seconds $(SECONDS) --jobs 2
 
 $(VENV)/.fuzz: $(VENV)/.dev requirements-fuzz.lock
-	@$(PIP) install --quiet --require-hashes -r requirements-fuzz.lock
+	$(call install,--require-hashes -r requirements-fuzz.lock)
 	@touch $@
 
 # the viewer's tests are skipped without it
@@ -75,7 +77,7 @@ view: $(VENV)/.view
 
 $(VENV)/.view: $(VENV)/.dev requirements-view.lock
 	@echo "Installing rerun (170 MB to download, 521 MB on disk, once)"
-	@$(PIP) install --quiet --require-hashes -r requirements-view.lock
+	$(call install,--require-hashes -r requirements-view.lock)
 	@touch $@
 
 lint: $(VENV)/.dev
@@ -121,13 +123,13 @@ $(VENV)/.venv:
 
 $(VENV)/.run: $(VENV)/.venv requirements.lock pyproject.toml
 	@echo "Installing what ullage needs (about 120 MB, once; a minute)"
-	@$(PIP) install --quiet --require-hashes -r requirements.lock
-	@$(PIP) install --quiet --no-deps --no-build-isolation -e .
+	$(call install,--require-hashes --no-deps -r requirements.lock)
+	$(call install,--no-deps --no-build-isolation -e .)
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.run requirements-dev.lock
 	@echo "Installing what the tests need (once; a minute)"
-	@$(PIP) install --quiet --require-hashes -r requirements-dev.lock
+	$(call install,--require-hashes -r requirements-dev.lock)
 	@touch $@
 
 # Real ROS 2 beside the environment, never in it: libraries of the first are seen from the second.

@@ -221,6 +221,20 @@ def test_a_run_says_why_its_map_stays_empty(tmp_path: Path, capsys: pytest.Captu
     assert "No cell of the map is occupied: no radar moves 0.05 m" in told.stdout
 
 
+def test_a_job_of_an_hour_writes_few_lines_without_a_terminal_and_says_what_is_left(capsys, monkeypatch):
+    from ullage.view import progress
+
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    with progress.progress_bar("mapping", total=3600.0, unit="s of flight") as bar:
+        for second in range(3600):
+            now[0] = float(second)
+            bar(now[0])
+    said = capsys.readouterr().out.splitlines()
+    assert said[:2] == ["mapping", "mapping: 1 %, 0:59:39 left"]
+    assert len(said) < 8
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

@@ -29,6 +29,16 @@ def test_the_thesis_rig_looks_four_ways() -> None:
     assert ahead == {"front": [1, 0, 0], "left": [0, 1, 0], "back": [-1, 0, 0], "right": [0, -1, 0]}
 
 
+def test_completion_offers_no_name_that_warns_of_its_age(recwarn: pytest.WarningsRecorder) -> None:
+    radar = ul.RadarSpec.preset("x4m05")
+    assert {"but", "center_hz", "range_m"} <= set(dir(radar))
+    assert not {"dict", "json", "copy", "parse_obj", "construct"} & set(dir(radar))
+    for name in dir(radar):
+        if not name.startswith(("_", "model_")):
+            getattr(radar, name)
+    assert not recwarn.list
+
+
 def test_settings_are_taken_by_the_names_of_the_x4_driver() -> None:
     spec = ul.RadarSpec.preset("x4m05", frame_area=(0.4, 5.0), frame_area_offset=0.18)
     assert spec.range_m[0] == 0.4

@@ -16,7 +16,7 @@ import typer
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from ullage.config import Task
+    from ullage.config import Scenario, Task
     from ullage.experiments.run import Report
     from ullage.experiments.sweep import Sweep
 
@@ -268,7 +268,7 @@ def run(
     for target in sinks:
         check_sink(target)
     rival = rival_scenario(source, compare, options=options) if compare is not None else None
-    warm_up(source, options, tasks)
+    warm_up(source, options, tasks, rival=rival)
     with progress_bar("getting ready", total=1.0) as bar:
         job = make_run(source, tasks=tasks, options=options, out=out, force=force, progress=bar, log=log, to=sinks)
     if rival is not None and compare is not None:
@@ -338,8 +338,10 @@ def repair(source: str) -> bool:
     return bool(done)
 
 
-def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = None) -> None:
-    """Compile what a run of SOURCE needs, if this is its first time."""
+def warm_up(
+    source: str, options: list[str], tasks: tuple[Task, ...] | None = None, *, rival: Scenario | None = None
+) -> None:
+    """Compile what a run of SOURCE and of its rival needs, if this is its first time."""
     from ullage.experiments.simulated import load_world
     from ullage.experiments.source_resolution import simulated_scenario
     from ullage.experiments.warmup import compiled, parts_of
@@ -351,8 +353,10 @@ def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = No
         bounces = str(address.options.get("max_bounces", 1))
         fidelity = str(address.options.get("fidelity", "physical"))
         compile_parts((*radar_parts(fidelity, 1 if bounces == "1" else 3), "likelihood"))
-    elif (scenario := simulated_scenario(source, tasks=tasks, options=options)) and not compiled(parts_of(scenario)):
-        compile_parts(parts_of(scenario, load_world(scenario.world)))  # not all that any world may need
+    elif scenario := simulated_scenario(source, tasks=tasks, options=options):
+        more = () if rival is None else parts_of(rival)
+        if not compiled((*parts_of(scenario), *more)):  # not all that any world may need
+            compile_parts((*parts_of(scenario, load_world(scenario.world)), *more))
 
 
 def compile_parts(parts: Iterable[str] | None = None) -> None:
@@ -381,9 +385,8 @@ def _print_summary(report: Report) -> None:
         log(f"the complete run in {kept} stays; this one is in {report.folder}")
     factor = report.metrics["real_time_factor"].value
     log(f"{outcome.frames} frames of {outcome.duration_s:.0f} s, {factor:.1f} times real time")
-    for key in MAP_SCORES:
-        if key in report.metrics:
-            log(f"  map {key}: {report.metrics[key].value:.3f}")
+    if scores := [f"{key} {report.metrics[key].value:.3f}" for key in MAP_SCORES if key in report.metrics]:
+        log(f"map: {', '.join(scores)}")
     log_report(report.folder / "report.html")
     if report.objects:
         log(found_line(report.objects, report.metrics))

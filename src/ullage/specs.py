@@ -91,6 +91,11 @@ class Spec(BaseModel):
             if name == "name" or field.is_required() or value != field.get_default(call_default_factory=True):
                 yield name, value
 
+    def __dir__(self) -> list[str]:
+        """Return the names that a prompt completes: pydantic's old ones, as `dict` and `copy`, only warn."""
+        old = {name for name in dir(BaseModel) if not name.startswith(("_", "model_"))}
+        return [name for name in super().__dir__() if name not in old]
+
     def but(self, /, **changes: Any) -> Self:
         """A checked copy with some fields changed."""
         return type(self)(**{name: getattr(self, name) for name in type(self).model_fields} | changes)

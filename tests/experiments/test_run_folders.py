@@ -22,7 +22,7 @@ import ullage as ul
 from ullage.cli import main
 from ullage.experiments.doctor import recording_rate
 from ullage.experiments.folder import RunFolder
-from ullage.experiments.map_files import MapSaver
+from ullage.experiments.map_files import PICTURE_S, MapSaver
 from ullage.experiments.run import Report, Run
 from ullage.experiments.runner import execute
 from ullage.experiments.source_resolution import make_run, record
@@ -217,6 +217,19 @@ def test_the_map_so_far_is_saved_at_once_and_then_every_minute(tmp_path: Path) -
     saver.every_s = 0
     saver.write(maps[1])
     assert (read_map(tmp_path / "map.yaml").percent == 100).all()
+
+
+def test_a_run_that_takes_long_draws_one_picture_of_its_map_so_far(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, drawn = [0.0], []
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    saver = MapSaver(tmp_path, draw=drawn.append)
+    maps = [ul.OccupancyMap(ul.Grid((0, 0, 0), 1.0, (2, 2)), np.full((2, 2), k, np.int8)) for k in range(20)]
+    for second, omap in enumerate(maps):
+        now[0] = float(second)
+        saver.write(omap)
+    assert drawn == [maps[round(PICTURE_S)]]
 
 
 @pytest.mark.parametrize(("fidelity", "sample_bytes"), [("physical", 8), ("thesis", 4)])

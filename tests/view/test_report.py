@@ -47,7 +47,7 @@ def run_folder(parts: Parts, tmp_path: Path) -> Path:
     (tmp_path / "scenario.yaml").write_text(scenario_text(scenario))
     provenance = {"started": "today", "ullage": ul.__version__, "state": "complete", "interrupted": False}
     (tmp_path / "provenance.json").write_text(json.dumps(provenance))
-    metrics = {name: {"value": value, "unit": ""} for name, value in METRICS.items()}
+    metrics = {name: {"value": value, "unit": "m" if name == "accuracy_p90" else ""} for name, value in METRICS.items()}
     (tmp_path / "metrics.json").write_text(json.dumps(metrics))
     objects = [
         {"name": "plate", "state": "missed", "mapped": 0.0, "observable": 0.4},
@@ -221,6 +221,9 @@ def test_on_a_phone_the_page_does_not_scroll_sideways_and_the_picture_fits(run_f
     page.wait_for_selector("body[data-ready]", state="attached")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert page.locator("#stage").bounding_box()["height"] < 350
+    unit = page.locator("td.unit:not(:empty)").first
+    value = unit.locator("xpath=preceding-sibling::td[1]")
+    assert unit.bounding_box()["y"] == pytest.approx(value.bounding_box()["y"], abs=5)
     assert page.evaluate("document.documentElement.scrollHeight") < 9000
     page.close()
 

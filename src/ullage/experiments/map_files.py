@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ from ullage.grids import OccupancyMap
 
 EVERY_S = 60.0
 """Between two maps that are saved while a run goes on [s]."""
+PICTURE_S = 10.0
+"""A run that takes longer draws a picture of its map this long after its start [s]."""
 
 
 @dataclass(slots=True)
@@ -20,11 +23,17 @@ class MapSaver:
     Attributes:
         folder: of the run.
         every_s: between two maps, by the wall clock [s].
+        draw: draws the first picture of a run that takes long.
     """
 
     folder: Path
     every_s: float = EVERY_S
+    draw: Callable[[OccupancyMap], None] | None = None
     _saved_s: float = -float("inf")
+    _started_s: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._started_s = time.monotonic()
 
     def write(self, item: Any) -> None:
         """Save a map if the last one is old enough; everything else passes by.
@@ -35,6 +44,9 @@ class MapSaver:
         if isinstance(item, OccupancyMap) and time.monotonic() - self._saved_s >= self.every_s:
             write_map_files(self.folder, item)
             self._saved_s = time.monotonic()
+        if isinstance(item, OccupancyMap) and self.draw and time.monotonic() - self._started_s >= PICTURE_S:
+            self.draw(item)
+            self.draw = None
 
     def close(self) -> None:
         """Nothing is open."""

@@ -8,6 +8,7 @@ from ullage.experiments.run import Run
 from ullage.grids import Image
 from ullage.pipeline import Outcome
 from ullage.radar.explain import explain
+from ullage.radar.worker_pool import WorkerPool
 from ullage.view.replay import Explained, Parts, write_replay
 
 EXPLAINED = 12
@@ -38,10 +39,18 @@ def explained_frames(job: Run) -> list[Explained]:
     sensing = job.scenario.sensing
     if job.scene is None or job.live or sensing.fidelity != "physical":
         return []
-    out = []
-    for name, part in job.sampled.frames().items():
-        for index in np.unique(np.linspace(0, len(part) - 1, EXPLAINED).round().astype(int)):
-            found = explain(part, int(index), scene=job.scene, max_bounces=sensing.max_bounces, count=ECHOES,
-                            seed=job.scenario.seed)  # fmt: skip
-            out.append(Explained(name, int(part.t_ns[index]), found))
-    return out
+    frames = job.sampled.frames()
+
+    def one(name: str, index: int) -> Explained:
+        found = explain(frames[name], index, scene=job.scene, max_bounces=sensing.max_bounces, count=ECHOES,
+                        seed=job.scenario.seed)  # fmt: skip
+        return Explained(name, int(frames[name].t_ns[index]), found)
+
+    wanted = [(name, int(index)) for name, part in frames.items()
+              for index in np.unique(np.linspace(0, len(part) - 1, EXPLAINED).round())]  # fmt: skip
+    pool = WorkerPool(one)
+    try:
+        pool.fork()
+        return [done.result() for done in [pool.submit(*each) for each in wanted]]
+    finally:
+        pool.close()

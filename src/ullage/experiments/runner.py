@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +63,7 @@ def execute(
     try:
         write_text(job.folder / "scenario.yaml", scenario_text(job.scenario))
         job.place.mark_running()
-        outcome = _receive(job, sinks, progress, on_lag)
+        outcome = _receive(job, sinks, progress, on_lag, draw=draw and not job.live)
         report = _finish(job, outcome, log if draw else None)
     except BaseException as error:
         _keep_what_came(job, error)
@@ -75,11 +77,17 @@ def _receive(
     sinks: Sequence[Sink],
     progress: Callable[[float], None] | None,
     on_lag: Callable[[float, int], None] | None,
+    *,
+    draw: bool,
 ) -> Outcome:
-    """Run the loop; the map so far is saved every minute."""
+    """Run the loop; the map so far is saved every minute, and drawn once where figures are wanted."""
     stages = _stages(job)
     wall, cpu = time.perf_counter(), time.process_time()
-    keeping: list[Sink] = [MapSaver(job.folder), job.history]
+
+    def first_picture(omap: OccupancyMap) -> None:
+        LOGGER.info("first picture: %s", _draw_map(job, omap))
+
+    keeping: list[Sink] = [MapSaver(job.folder, draw=first_picture if draw else None), job.history]
     if job.obstacles is not None:
         keeping.append(job.obstacles)
     given = [*sinks, *job.sinks, *keeping]
@@ -103,20 +111,11 @@ def _finish(job: Run, outcome: Outcome, log: Log | None) -> Report:
     for item in outcome.results:
         if isinstance(item, OccupancyMap):
             write_map_files(job.folder, item)
-    metrics = _metrics(job, outcome)
-    compared = _compared(job, outcome, log)
+    with _beside(job.rival if not outcome.interrupted else None) as answer:
+        metrics = _metrics(job, outcome)
+        figures = _write_parts(job, outcome, metrics, log)
+        compared = answer()
     write_json(job.folder / "findings.json", _findings(job, compared))
-    if job.findings:
-        write_text(job.folder / "verdict.txt", "\n".join(job.findings) + "\n")
-    write_json(job.folder / "metrics.json", metric_tree(metrics))
-    if log is not None:
-        for sentence in job.findings:
-            log(sentence)
-        log("drawing figures")
-    figures = _draw(job, outcome) if log is not None else ()
-    if log is not None:
-        log("gathering what the report replays")
-        keep_replay(job, outcome)
     state = "interrupted" if outcome.interrupted else "complete"
     done = {"state": state, "timing": job.timing, "interrupted": outcome.interrupted}
     write_report(job.folder, origin={**job.place.origin, **done})
@@ -124,13 +123,32 @@ def _finish(job: Run, outcome: Outcome, log: Log | None) -> Report:
     return Report(job.folder, outcome, metrics, figures, tuple(job.objects), compared)
 
 
-def _compared(job: Run, outcome: Outcome, log: Log | None) -> Compared | None:
-    """Run the other method on the whole flight, if requested."""
-    if job.rival is None or outcome.interrupted:
-        return None
-    if log is not None:
-        log("flying once more for the comparison")
-    return job.rival()
+def _write_parts(job: Run, outcome: Outcome, metrics: dict[str, Metric], log: Log | None) -> tuple[Path, ...]:
+    """Write verdict and metrics, draw the figures, and keep what the report replays; return the figures."""
+    if job.findings:
+        write_text(job.folder / "verdict.txt", "\n".join(job.findings) + "\n")
+    write_json(job.folder / "metrics.json", metric_tree(metrics))
+    if log is None:
+        return ()
+    for sentence in job.findings:
+        log(sentence)
+    log("drawing figures and replay" + (", and flying once more for the comparison" if job.rival else ""))
+    figures = _draw(job, outcome)
+    keep_replay(job, outcome)
+    return figures
+
+
+@contextmanager
+def _beside(rival: Callable[[], Compared] | None) -> Iterator[Callable[[], Compared | None]]:
+    """Run the other method on the same flight in a process of its own; give what waits for its scores.
+
+    Unlike a fork, a new process shares no locks with the threads here.
+    """
+    if rival is None:
+        yield lambda: None
+        return
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        yield pool.submit(rival).result
 
 
 def _findings(job: Run, compared: Compared | None) -> dict[str, Any]:
@@ -331,11 +349,7 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
         out.append(calibration_figure(folder / "calibration.png", found, title=job.title))
     for item in outcome.results:
         if isinstance(item, OccupancyMap):
-            out.append(
-                figures.map_figure(
-                    folder / "map.png", item, title=job.title, walls=walls, flown=job.flown, marks=job.marks
-                )
-            )
+            out.append(_draw_map(job, item))
         elif isinstance(item, Image):
             notes = _image_notes(job, item, frames)
             out.append(
@@ -353,6 +367,14 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
         title = f"{job.title}: own echo"
         out.append(own_echo_figure(folder / "own_echo.png", job.own_echo.found, title=title))
     return tuple(out)
+
+
+def _draw_map(job: Run, omap: OccupancyMap) -> Path:
+    from ullage.view.figures import map_figure
+
+    walls = _walls(job.scene, _height(job))
+    return map_figure(job.folder / "figures" / "map.png", omap, title=job.title, walls=walls, flown=job.flown,
+                      marks=job.marks)  # fmt: skip
 
 
 def _image_notes(job: Run, image: Image, frames: Mapping[str, Frames]) -> list[str]:

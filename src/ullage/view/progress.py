@@ -19,6 +19,7 @@ from rich.text import Text
 LOGGER = logging.getLogger("ullage")
 console = Console(stderr=False, soft_wrap=True)
 PLAIN_EVERY_S = 20.0
+"""Until the first line of progress without a terminal; each later one comes after three times as long [s]."""
 LAG_S = 0.5
 """A live run that is behind by less does not say so [s]."""
 
@@ -80,26 +81,27 @@ class ProgressBar:
     rated: bool = False
     first: tuple[float, float] | None = None  # amount done at the first call, and its time [s]
     lag: str = ""  # what is added to the title of a live run that cannot keep up
+    every_s: float = PLAIN_EVERY_S  # between two lines without a terminal [s]
 
     def __call__(self, done: float) -> None:
         """Report the amount done, in the bar's unit."""
-        forecast = self._forecast(done) if self.rated else ""
+        forecast = self._forecast(done)
         self.bar.update(self.task, completed=done, forecast=forecast)
-        if not console.is_terminal and time.monotonic() - self.last_s > PLAIN_EVERY_S:
-            self.last_s = time.monotonic()
+        if not console.is_terminal and time.monotonic() - self.last_s > self.every_s:
+            self.last_s, self.every_s = time.monotonic(), 3 * self.every_s
             share = f"{100 * done / self.total:.0f} %" if self.total else f"{done:.0f} {self.unit}"
             log(", ".join(filter(None, (f"{self.title}: {share}", forecast, self.lag))))
 
     def _forecast(self, done: float) -> str:
-        """Rate since the start and remaining time in words; nothing before the first unit is done."""
+        """Remaining time in words, and the rate where asked for; nothing before the first unit is done."""
         now = time.monotonic()
         if self.first is None:
             self.first = done, now
         rate = (done - self.first[0]) / max(now - self.first[1], 1e-9)
         if rate <= 0 or self.total is None:
             return ""
-        left_s = timedelta(seconds=round((self.total - done) / rate))
-        return f"{60 * rate:.3g} {self.unit}/min, {left_s} left"
+        left = f"{timedelta(seconds=round((self.total - done) / rate))} left"
+        return f"{60 * rate:.3g} {self.unit}/min, {left}" if self.rated else left
 
     def on_lag(self, behind_s: float, left_out: int) -> None:
         """Show that a live run cannot keep up.

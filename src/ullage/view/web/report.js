@@ -530,7 +530,7 @@
     const middle = new THREE.Vector3(...low.map((v, k) => (v + high[k]) / 2));
     const away = new THREE.Vector3(-0.32, -0.85, 0.62).normalize();
     const box = [0, 1, 2, 3, 4, 5, 6, 7].flatMap((k) => [0, 1, 2].map((axis) => ((k >> axis) & 1 ? high : low)[axis]));
-    const corners = [], shapes = [flight.position,
+    const corners = labels.map(({ place }) => place.clone()), shapes = [flight.position,
       ...(data.world ? data.world.objects.map((one) => one.corners) : [new Float32Array(box)])];
     for (const shape of shapes) {
       const stride = 3 * Math.max(1, Math.floor(shape.length / 900));
