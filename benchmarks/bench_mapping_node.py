@@ -27,13 +27,13 @@ TOPICS = {  # of the node: type and quality of service
     "image": ("sensor_msgs/msg/Image", "latched"),
 }
 FRONT = "flying/radar/front/frame"
-SCENARIOS = {"elfes": "cargo-hold", "rules": "cargo-hold-physical"}
+SCENARIOS = {"elfes": "cargo-hold", "likelihood": "cargo-hold-physical"}
 REACH_M = "25.0"  # the thesis' map of 50 x 50 m, in cells of 0.1 m
 CASES = [  # method, further parameters of the node
     ("elfes", {}),
-    ("rules", {}),
+    ("likelihood", {}),
     ("elfes", {"image": "true", "image_method": "summation"}),
-    ("rules", {"image": "true"}),
+    ("likelihood", {"image": "true"}),
 ]
 NAN = float("nan")
 

@@ -6,7 +6,7 @@ import pytest
 import ullage as ul
 from ullage.antenna import boresight_pattern, cube, gain
 from ullage.kernels.facets import toward
-from ullage.processing.inverse_sensor import heard_deg, least_cosine, loudest_wall_m, mirror_m, rim_mirror_m
+from ullage.processing.inverse_sensor import mirror_m
 
 RNG = np.random.default_rng(3)
 
@@ -83,48 +83,32 @@ def test_a_table_of_an_antenna_has_its_beam_and_side_lobes(tmp_path):
     assert table.half_power_rad == pytest.approx(model.half_power_rad, abs=np.radians(0.3))
     assert table.main_lobe_rad == pytest.approx(model.main_lobe_rad, abs=np.radians(0.3))
     assert table.peak_dbi == pytest.approx(model.peak_dbi, abs=0.01)
-    for level in (5.0, 0.0, -5.0, -10.0):
-        assert table.farthest_rad(level) == pytest.approx(model.farthest_rad(level), abs=np.radians(1.5))
-    assert table.two_way_loss([1.0, 0.8]) == pytest.approx(model.two_way_loss([1.0, 0.8]), rel=0.02)
+    assert table.gain_dbi(np.arccos(0.8)) == pytest.approx(model.gain_dbi(np.arccos(0.8)), abs=0.1)
 
 
-def test_a_pattern_that_differs_between_planes_has_bounds_and_a_mean_opening():
+def test_a_pattern_that_differs_between_planes_has_a_greatest_gain_and_a_mean_opening():
     spec = ul.AntennaSpec(kind="cosine", azimuth_deg=40, elevation_deg=80)
     pattern = boresight_pattern(spec)
     k = int(np.argmin(abs(pattern.angle_rad - np.radians(30))))
     levels = [20 * np.log10(gain(spec, at(30, plane))[0]) for plane in ("azimuth", "elevation")]
-    assert [pattern.least_dbi[k], pattern.greatest_dbi[k]] == pytest.approx(sorted(levels), abs=1e-6)
+    assert pattern.greatest_dbi[k] == pytest.approx(max(levels), abs=1e-6)
     assert 2 * np.degrees(pattern.half_power_rad) == pytest.approx(np.sqrt(40 * 80), abs=0.3)
 
 
 def test_an_antenna_without_a_lobe_has_the_same_gain_all_round():
     pattern = boresight_pattern(ul.AntennaSpec(kind="isotropic"))
-    assert pattern.half_power_rad == pattern.main_lobe_rad == pattern.farthest_rad(0.0) == np.pi
-    assert pattern.farthest_rad(0.1) == 0.0
-    assert (pattern.two_way_loss([1.0, 0.0, -1.0]) == 1.0).all()
+    assert pattern.half_power_rad == pattern.main_lobe_rad == np.pi
+    assert pattern.gain_dbi(np.array([0.0, 1.5, 3.1])) == pytest.approx(0.0)
 
 
-@pytest.mark.parametrize("kind", ["isotropic", "x4a02", "cosine", "table"])
-def test_rules_of_the_mapper_know_every_antenna(kind, tmp_path):
-    antenna = same_as_a_table(tmp_path, ul.AntennaSpec()) if kind == "table" else ul.AntennaSpec(kind=kind)
-    spec = ul.RadarSpec.preset("x4m05", noise=None, antenna=antenna.model_dump())
-    path = ul.Trajectory.stationary(n=1)
-    frames = ul.Frames(np.zeros((1, spec.bins), np.complex64), spec.range_m, path.t_ns, spec, poses=path)
-    pattern = boresight_pattern(spec.antenna)
-    mirror = mirror_m(frames)
-    assert mirror == pytest.approx(spec.wavelength_m / (8 * np.pi))
-    assert loudest_wall_m(frames) == pytest.approx(mirror * 10 ** (pattern.peak_dbi / 10 + 0.15))
-    assert rim_mirror_m(frames) <= loudest_wall_m(frames)
-    ahead = mirror * 10 ** (pattern.peak_dbi / 10)
-    assert least_cosine(ahead, mirror, pattern) == (-1.0 if kind == "isotropic" else pytest.approx(0.84, abs=0.06))
-    assert least_cosine(100 * ahead, mirror, pattern) == -1.0, "focused: it may come from anywhere"
-    echo, silence = heard_deg(spec.antenna)
-    assert 0 < silence < echo <= 52
-    if kind in ("x4a02", "table"):
-        assert (echo, silence) == pytest.approx((50, 40), abs=0.5)
+def test_a_mirror_is_heard_as_its_image():
+    """A perfect mirror at R answers as a second antenna at 2 R: lambda / (8 pi R) between antennas of 0 dBi."""
+    spec, path = ul.RadarSpec.preset("x4m05"), ul.Trajectory.stationary(n=1)
+    frames = ul.Frames(np.zeros((1, spec.bins), np.complex64), spec.range_m, path.t_ns, spec)
+    assert mirror_m(frames) == pytest.approx(spec.wavelength_m / (8 * np.pi))
 
 
 def test_a_sensors_unknown_unit_hides_how_strong_a_wall_could_be():
     spec, path = ul.RadarSpec.preset("x4m05"), ul.Trajectory.stationary(n=1)
     frames = ul.Frames(np.zeros((1, spec.bins), np.complex64), spec.range_m, path.t_ns, spec, unit="normalised")
-    assert mirror_m(frames) == loudest_wall_m(frames) == np.inf
+    assert mirror_m(frames) == np.inf

@@ -132,7 +132,7 @@ def test_frames_in_memory_are_a_source() -> None:
         ul.run({})
 
 
-@pytest.mark.parametrize("method", ["elfes", "rules", "ullage"])
+@pytest.mark.parametrize("method", ["elfes", "ullage"])
 def test_a_live_flight_may_leave_the_grid_and_come_back(method: str) -> None:
     """The map is that of what was seen from inside; that it goes out is said once each time."""
     there = np.concatenate([np.linspace(0, 1, 25), np.linspace(1, 0, 25), np.linspace(0, 1, 25)])

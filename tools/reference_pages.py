@@ -39,7 +39,7 @@ Choices that the comments do not list:
 | `sensing.fidelity` | `physical`, `thesis` |
 | `do` | any of `detect`, `image`, `map`, `obstacles` |
 | `detect.method` | `first_peak`, `peaks`, `cfar`, `os-cfar`, `clean`, `track` |
-| `map.method` | `ullage`, `likelihood`, `rules`, `elfes` |
+| `map.method` | `ullage`, `likelihood`, `elfes` |
 | `map.dims` | `2`, `3` |
 | `image.method` | `backprojection`, `summation` |
 

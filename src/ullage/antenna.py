@@ -151,14 +151,13 @@ def cube(antenna: AntennaSpec) -> Floats:
 class BoresightPattern:
     """One-way gain against the angle off boresight, over all planes that hold the boresight.
 
-    A pattern that differs between planes has a greatest, a mean and a least gain at each angle. They agree for an
-    antenna that is symmetric about its boresight.
+    A pattern that differs between planes has a greatest and a mean gain at each angle. They agree for an antenna that
+    is symmetric about its boresight.
     """
 
     angle_rad: Floats  # (k) from 0 to pi
     greatest_dbi: Floats  # (k)
     mean_dbi: Floats  # (k) mean of the decibels
-    least_dbi: Floats  # (k)
     half_power_rad: float  # half opening: geometric mean of where the main planes have fallen by 3 dB; at most pi
     main_lobe_rad: float  # where the mean has fallen by 6 dB; a data sheet says little of the gain beyond; at most pi
 
@@ -170,22 +169,6 @@ class BoresightPattern:
     def gain_dbi(self, angle_rad: float | Floats) -> Floats:
         """Mean gain [dBi] at angles off boresight (n)."""
         return np.asarray(np.interp(angle_rad, self.angle_rad, self.mean_dbi))
-
-    def least_gain_dbi(self, angle_rad: float) -> float:
-        """Gain [dBi] that no plane falls below at an angle off boresight."""
-        return float(np.interp(angle_rad, self.angle_rad, self.least_dbi))
-
-    def two_way_loss(self, cosine: ArrayLike) -> Floats:
-        """Factor (n) by which an echo on boresight is stronger in amplitude than one at these cosines to boresight."""
-        fallen_db = self.mean_dbi[0] - self.gain_dbi(np.arccos(np.clip(cosine, -1, 1)))
-        return np.asarray(10 ** (2 * fallen_db / 20))
-
-    def farthest_rad(self, gain_dbi: float) -> float:
-        """Largest angle off boresight at which any plane, side lobes included, has this gain; 0 where none has."""
-        strong = np.flatnonzero(self.greatest_dbi >= gain_dbi)
-        if not len(strong) or strong[-1] == len(self.angle_rad) - 1:
-            return float(np.pi) if len(strong) else 0.0
-        return _crossing(self.angle_rad, self.greatest_dbi, gain_dbi, int(strong[-1]))
 
 
 @lru_cache(maxsize=32)
@@ -204,9 +187,7 @@ def boresight_pattern(antenna: AntennaSpec) -> BoresightPattern:
     mean = dbi.mean(axis=1)
     main = [_first_fall(angle, dbi[:, k], _HALF_POWER_DB) for k in range(0, _ROLLS, _ROLLS // 4)]
     half = float(np.exp(np.mean(np.log(main))))
-    return BoresightPattern(
-        angle, dbi.max(axis=1), mean, dbi.min(axis=1), half, _first_fall(angle, mean, _MAIN_LOBE_DB)
-    )
+    return BoresightPattern(angle, dbi.max(axis=1), mean, half, _first_fall(angle, mean, _MAIN_LOBE_DB))
 
 
 def _first_fall(angle: Floats, dbi: Floats, fall_db: float) -> float:

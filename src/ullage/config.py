@@ -20,7 +20,7 @@ from ullage.untrusted import compose_yaml, load_yaml, read_yaml, reason
 DetectMethod = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean", "track"]
 ImageMethod = Literal["backprojection", "summation"]
 RIG_FILES = {".sdf", ".world", ".urdf", ".xacro"}
-FIDELITIES, MAP_METHODS = ("physical", "thesis"), ("ullage", "likelihood", "rules", "elfes")
+FIDELITIES, MAP_METHODS = ("physical", "thesis"), ("ullage", "likelihood", "elfes")
 SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 
 

@@ -278,7 +278,7 @@ def three_hovers(fleet: Fleet) -> Hovers:
     return {
         hall.BY_FORMULAS: hall.hovered(rays, "elfes"),
         hall.CAPPED: hall.hovered(rays, "elfes", certain=hall.LIMITED),
-        hall.OURS: hall.hovered(waves, "rules", count=60),
+        hall.OURS: hall.hovered(waves, "likelihood", count=60),
         "without a limit": hall.hovered(rays, "elfes", certain=1.0),
         "Elfes for ullage": hall.hovered(waves, "elfes", count=60),
     }

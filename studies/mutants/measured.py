@@ -173,7 +173,7 @@ def white_scores(spoil: Spoil = lambda frames: frames) -> Scores:
     return scores_of((methods.WHITE[0.01], methods.BARE_WHITE), spoil, share=1.0)
 
 
-def hover_of(method: str = "rules") -> list[dict[str, float]]:
+def hover_of(method: str = "likelihood") -> list[dict[str, float]]:
     """Eight seconds of flight, then four of hovering: after six, hovering completes the wall flown past last."""
     scene = flights.judged_room()
     grid = flights.plane_of(scene)
@@ -219,10 +219,10 @@ def one_volume(spoil: Spoil = lambda frames: frames) -> Scores:
     scores: Scores = {}
     frames = spoil(flights.received(scene, flights.rising_round(SEED)[:220], SEED))
     for name, recording in volumes.cases(SEED, frames):
-        found = map_quality(map_occupancy(recording, grid, method="rules"), scene, frames)
+        found = map_quality(map_occupancy(recording, grid, method="likelihood"), scene, frames)
         scores[name] = [flights.values_of(found, tuple(volumes.COLUMNS))]
     frames = spoil(flights.received(scene, flights.level_round(SEED)[:220], SEED))
-    omap = map_occupancy(frames, grid, method="rules")
+    omap = map_occupancy(frames, grid, method="likelihood")
     row = flights.values_of(map_quality(omap, scene, frames), tuple(volumes.COLUMNS))
     scores[volumes.LEVEL] = [row | volumes.flagged(omap, scene, frames)]
     return scores

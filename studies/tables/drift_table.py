@@ -15,7 +15,7 @@ import numpy as np
 import ullage as ul
 from studies.thesis.flights import believed, drift, judged_room, level_round, received
 from ullage.data import Frames, Trajectory
-from ullage.processing.drift import correct_drift
+from ullage.processing.drift_surfaces import correct_drift_by_surfaces
 
 DRIFT_M, TURN_DEG = 0.2, 2.0
 SMOOTH_S, ROUGH_S = 5.0, 1.5
@@ -47,7 +47,9 @@ def turn_left(frames: dict[str, Frames], path: Trajectory, time_s: float) -> flo
         [away[:, :2] @ [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]], away[:, 2]]
     )
     found = (
-        correct_drift(believed(frames, turned - away), drift_m=DRIFT_M, time_s=time_s).frames["front"].believed.position
+        correct_drift_by_surfaces(believed(frames, turned - away), drift_m=DRIFT_M, time_s=time_s)
+        .frames["front"]
+        .believed.position
     )
     one, other = ((at - at.mean(0))[:, :2] for at in (frames["front"].believed.position, found))
     cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
@@ -74,7 +76,7 @@ def print_drifts(flights: int, count: int) -> None:
         frames = received(scene, path, seed)
         for k in range(count):
             offset = drift(len(path), DRIFT_M, np.random.default_rng([seed, 300 + k]))
-            done = correct_drift(believed(frames, offset), drift_m=DRIFT_M)
+            done = correct_drift_by_surfaces(believed(frames, offset), drift_m=DRIFT_M)
             found = next(iter(done.frames.values()))
             left = (found.believed.position - next(iter(frames.values())).believed.position)[:, :2]
             rms = [1e3 * np.sqrt((part**2).sum(1).mean()) for part in (offset[:, :2], left)]

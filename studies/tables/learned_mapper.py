@@ -162,11 +162,11 @@ def tuned(net: torch.nn.Module, given: argparse.Namespace) -> tuple[float, float
 
 def judged(net: torch.nn.Module, weight: float, offset: float, given: argparse.Namespace) -> None:
     """Print the scores of the three methods on the kinds "testing"."""
-    table: dict[str, list[list[float]]] = {"elfes": [], "rules": [], "learned": []}
+    table: dict[str, list[list[float]]] = {"elfes": [], "likelihood": [], "learned": []}
     for kind in ul.worlds.TESTING:
         for seed in range(given.flights):
             scene, frames, grid = flown(kind, seed, given.frames)
-            maps = {method: ul.map_occupancy(frames, grid, method=method) for method in ("elfes", "rules")}
+            maps = {method: ul.map_occupancy(frames, grid, method=method) for method in ("elfes", "likelihood")}
             maps["learned"] = as_map(evidence(net, frames, grid), grid, weight, offset)
             for method, omap in maps.items():
                 got = ul.metrics.map_quality(omap, scene, frames)

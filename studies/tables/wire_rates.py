@@ -128,7 +128,7 @@ def fly(seed: int, tally: Tally, folder: Path, *, flights: int, volume: bool) ->
         frames = flown(
             scene, path, seed, folder / f"{'rise' if volume else 'level'}{seed}{'' if there else 'bare'}.pkl"
         )
-        omap = ul.map_occupancy(frames, grid, method="rules")
+        omap = ul.map_occupancy(frames, grid, method="likelihood")
         if not volume:
             at = np.array([place for _, place in stand if there]).reshape(-1, 2)
             tally.cells[there].append(false_cells(omap, scene, frames, at))

@@ -131,7 +131,7 @@ def room(runs: int) -> None:
     false = []
     for seed in range(runs):
         frames = received(scene, level_round(seed), seed)
-        score = ul.metrics.map_quality(ul.map_occupancy(frames, grid, method="rules"), scene, frames)
+        score = ul.metrics.map_quality(ul.map_occupancy(frames, grid, method="likelihood"), scene, frames)
         false.append(int(score["false_occupied"].value))
         for part in frames.values():
             hits = hits_of(part, "track")

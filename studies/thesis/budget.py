@@ -30,10 +30,10 @@ SLOW = {"every_s": 1.0, "batch_s": 1.0}
 RUNS: dict[str, tuple[str, dict[str, Any]]] = {
     "NTNU room, Elfes": ("ntnu-mapping", {"method": "elfes"}),
     "cargo hold, Elfes": ("cargo-hold", {"method": "elfes"}),
-    "NTNU room, ullage": ("ntnu-mapping-physical", {"method": "rules"}),
-    "cargo hold, ullage": ("cargo-hold-physical", {"method": "rules"}),
-    "NTNU room, ullage, 1 Hz": ("ntnu-mapping-physical", {"method": "rules"} | SLOW),
-    "cargo hold, ullage, 1 Hz": ("cargo-hold-physical", {"method": "rules"} | SLOW),
+    "NTNU room, ullage": ("ntnu-mapping-physical", {"method": "likelihood"}),
+    "cargo hold, ullage": ("cargo-hold-physical", {"method": "likelihood"}),
+    "NTNU room, ullage, 1 Hz": ("ntnu-mapping-physical", {"method": "likelihood"} | SLOW),
+    "cargo hold, ullage, 1 Hz": ("cargo-hold-physical", {"method": "likelihood"} | SLOW),
 }
 """Scenario and options of the node in each row. Without `SLOW` it maps every 0.1 s and publishes at 5 Hz."""
 REFERENCE_S = 0.050

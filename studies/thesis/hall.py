@@ -177,7 +177,7 @@ def hovering(work: Workspace, rays: Flown, waves: Flown | None) -> None:
     work.log("hovering")
     found = {BY_FORMULAS: hovered(rays, "elfes"), CAPPED: hovered(rays, "elfes", certain=LIMITED)}
     if waves is not None:
-        found[OURS] = hovered(waves, "rules")
+        found[OURS] = hovered(waves, "likelihood")
     track = rays.track
     panels = [
         [Panel(f"{name}, on arrival", each.before, track), Panel(f"{name}, after hovering", each.after, track)]

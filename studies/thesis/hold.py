@@ -75,7 +75,7 @@ def far(work: Workspace, path: Trajectory) -> None:
     shifted = Scene(around.vertices + middle, around.faces, around.face_object, around.objects)
     grid = Grid.covering(np.stack([track.position.min(0) - 12, track.position.max(0) + 12]), 0.1)
     rows, ratios = [], {}
-    methods: tuple[tuple[str, str], ...] = (("elfes", "Elfes"), ("rules", "ullage"))
+    methods: tuple[tuple[str, str], ...] = (("elfes", "Elfes"), ("likelihood", "ullage"))
     for method, name in methods:
         law: Fidelity = "thesis" if method == "elfes" else "physical"
         heard = [simulate(scene, track, rig, fidelity=law, seed=7) for scene in (shifted, Scene.empty())]

@@ -56,14 +56,14 @@ def mapped(scene: Scene, grid: Grid, frames: Recordings, how: dict[str, Any] | N
     """Make the map of one row."""
     if how is None:
         return flights.errorless_map(scene, frames, grid)
-    return map_occupancy(frames, **{"grid": grid, "method": "rules", **how})
+    return map_occupancy(frames, **{"grid": grid, "method": "likelihood", **how})
 
 
 def hovered(scene: Scene, grid: Grid, frames: Recordings, seed: int) -> dict[str, float]:
     """Measure how a minute's hover at the end of a flight changes its map."""
     path = flights.hovering(flights.level_round(seed), np.random.default_rng(seed + 200))
     still = flights.received(scene, path, seed + 200)
-    alone, longer = Mapper(grid, method="rules"), Mapper(grid, method="rules")
+    alone, longer = Mapper(grid, method="likelihood"), Mapper(grid, method="likelihood")
     for mapper in (alone, longer):
         mapper.update(frames)
     longer.update(still)

@@ -31,7 +31,7 @@ def run(work: Workspace) -> None:
     waves = work.fly("ntnu-mapping-physical", ["sensing.rate_hz=10"] if work.quick else [])
     work.log("mapping on every grid")
     rows, memory, top, bottom = [], [], [], []
-    mapped = {step: map_at(waves, step, "rules") for step in rays}
+    mapped = {step: map_at(waves, step, "likelihood") for step in rays}
     for step, flown in rays.items():
         ours, scores = mapped[step]
         if flown.omap is None:

@@ -32,7 +32,7 @@ TARGET = (2.5, 0.0)
 GRID = Grid((1.6, -1.2, 0), 0.02, (120, 90))
 NEAR_M = 0.3
 WIRE_M = 6.0
-METHODS: dict[str, MapMethod] = {"ullage": "rules", "elfes": "elfes"}
+METHODS: dict[str, MapMethod] = {"ullage": "likelihood", "elfes": "elfes"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,7 +58,7 @@ def run(work: Workspace) -> None:
     """Measure tables 6.1 to 6.4, each under both laws."""
     machine = provenance()["machine"]
     work.log("loading what is measured")  # or the first table would pay for it
-    for options in ([], ["sensing.fidelity=physical", "map.method=rules", "image.method=backprojection"]):
+    for options in ([], ["sensing.fidelity=physical", "map.method=likelihood", "image.method=backprojection"]):
         measure(SCENARIOS["6.2"], options, 0.3)
     for table, scenario in SCENARIOS.items():
         title, speed, printed = PRINTED[table]
@@ -66,7 +66,7 @@ def run(work: Workspace) -> None:
         thesis = measure(scenario, [], PART_S if work.quick else None)
         method = "image.method=backprojection"
         physical = measure(
-            scenario, ["sensing.fidelity=physical", "map.method=rules", method], 1.5 if work.quick else PART_S
+            scenario, ["sensing.fidelity=physical", "map.method=likelihood", method], 1.5 if work.quick else PART_S
         )
         rows: list[tuple[str, ...]] = [("speed, times real time", f"{speed:g}", _speed(thesis), _speed(physical))]
         for stage in ("simulation", "amplitudes", "image", "map"):

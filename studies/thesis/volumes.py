@@ -96,11 +96,11 @@ def run(work: Workspace) -> None:
         frames = flights.received(scene, flights.rising_round(seed), seed)
         for name, recording in cases(seed, frames):
             work.log(f"flight {seed + 1} of {flights.SEEDS}, {name}")
-            found = map_quality(map_occupancy(recording, grid, method="rules"), scene, frames)
+            found = map_quality(map_occupancy(recording, grid, method="likelihood"), scene, frames)
             scores.setdefault(name, []).append(flights.values_of(found, tuple(COLUMNS)))
         work.log(f"flight {seed + 1} of {flights.SEEDS}, {LEVEL}")
         frames = flights.received(scene, flights.level_round(seed), seed)
-        omap = map_occupancy(frames, grid, method="rules")
+        omap = map_occupancy(frames, grid, method="likelihood")
         row = flights.values_of(map_quality(omap, scene, frames), tuple(COLUMNS))
         scores.setdefault(LEVEL, []).append(row | flagged(omap, scene, frames))
     rows = flights.rows_of(scores, COLUMNS)

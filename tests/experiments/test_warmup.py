@@ -31,13 +31,6 @@ def test_compiling_what_the_main_job_needs_leaves_nothing_to_compile() -> None:
     assert compiled(parts)
 
 
-def test_what_joins_legs_of_a_volume_is_compiled_with_the_map(monkeypatch: pytest.MonkeyPatch) -> None:
-    met: list[int] = []
-    monkeypatch.setattr("ullage.processing.mapper_rings.weigh_rolls", lambda me, others, *_: met.append(len(others)))
-    next(job for job in JOBS if job.part == "rules").run()
-    assert met, "a volume would compile it in the middle"
-
-
 def test_all_kernels_of_volumes_by_likelihood_are_compiled_with_the_map() -> None:
     from ullage.kernels import directed_sums, volume_cells
 

@@ -207,20 +207,6 @@ def flown_past(n=24):
     return frames_of_points([(0.2, 0, 0), (2.0, 0, 0), (5.0, 0.3, 0)], path, spec=spec, noise=0.004, seed=5)
 
 
-def test_the_mapper_and_detect_find_the_same_echoes():
-    from ullage.processing.mapper_looks import Listener
-
-    frames = flown_past()
-    hits = ul.detect(frames, method="peaks")
-    step = frames.range_m[1] - frames.range_m[0]
-    listener = Listener(float(frames.range_m[0]), float(step), frames.spec.wavelength_m)
-    keyframes = [*listener.hear(frames), *listener.flush()]
-    assert len(keyframes) > 5
-    for one in keyframes:
-        mine = np.sort(one.heard.ranges[: one.heard.count])
-        assert mine == pytest.approx(hits.range_m[hits.t_ns == one.heard.t_ns], abs=1e-4)
-
-
 def test_pieces_of_a_recording_give_the_echoes_of_the_whole():
     frames = flown_past()
     whole = ul.detect(frames, method="peaks")

@@ -3,8 +3,7 @@ from dataclasses import replace
 import mirror_world as world
 import numpy as np
 import pytest
-from test_drift import shape_error, wander
-from test_mapper import PLAN, loop, moved
+from test_mapper import GRID, PLAN, loop, moved, score
 
 import ullage as ul
 from ullage.data import Trajectory
@@ -13,6 +12,20 @@ from ullage.processing.drift_surfaces import correct_drift_by_surfaces
 from ullage.processing.likelihood.drift_prior import Drift, DriftPrior
 from ullage.processing.likelihood.pose_graph import PoseGraph, find_track
 from ullage.processing.likelihood.spec import LikelihoodSpec
+
+
+def wander(path, size_m):
+    phase = np.linspace(0, 1, len(path))[:, None]
+    offset = size_m * np.sin(2 * np.pi * phase * [1.3, 0.9, 0] + [0.5, 2.0, 0]) * [1, 1, 0]
+    return offset - offset[0]
+
+
+def shape_error(found, true):
+    """Rms distance [m] of two tracks (n, 2) after the best turn and shift, and that turn [rad]."""
+    a, b = found - found.mean(0), true - true.mean(0)
+    turn = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
+    turned = a @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    return float(np.sqrt(((turned - b) ** 2).sum(1).mean())), float(turn)
 
 
 def test_the_prior_is_a_matern_process_with_sparse_precision():
@@ -33,9 +46,8 @@ def test_a_drift_keeps_its_values_and_rates_under_another_prior():
     """A process with three derivatives in its state follows them exactly at the knots of the other prior."""
     slow, quick = (DriftPrior(0.0, 30.0, 0.2, time_s) for time_s in (10.0, 2.5))
     t_s = np.arange(0.0, 30.1, 0.5)  # the knots of the second prior
-    offset = 0.2 * np.stack([np.sin(t_s / 8.0), np.cos(t_s / 6.0)], axis=1)
-    drift = slow.fitted(t_s, offset, 1e-3)
-    np.testing.assert_allclose(drift.at(t_s), offset, atol=2e-3)
+    covariance = np.linalg.inv(slow.precision().toarray())
+    drift = Drift(slow, np.random.default_rng(2).multivariate_normal(np.zeros(slow.size), covariance, 2))
     other = drift.under(quick)
     np.testing.assert_allclose(other.at(t_s), drift.at(t_s), atol=1e-9)
     np.testing.assert_allclose(other.at(t_s, 1), drift.at(t_s, 1), atol=1e-9)
@@ -82,6 +94,9 @@ def test_a_room_gives_a_drifting_track_back(flight, drifted):
     assert found < 0.01
     assert abs(turn) < np.radians(0.35)
     assert np.sqrt(((got - true) ** 2).sum(1).mean()) < 3 * np.sqrt((done.sigma_m**2).sum(1).mean()) < 0.15
+    before, after = (score(ul.map_occupancy(frames, GRID), flight) for frames in (drifted, done.frames))
+    assert after["f1"] > before["f1"] + 0.1
+    assert after["surface_declared_free"] <= 0.01
 
 
 def test_one_wall_leaves_the_offset_along_it_open():
@@ -106,3 +121,32 @@ def test_good_poses_are_kept_with_and_without_phase_and_bad_input_is_refused():
             correct_drift_by_surfaces(frames, **wrong)
     with pytest.raises(ul.InputError, match="no poses"):
         correct_drift_by_surfaces(replace(frames, poses=None, truth=None))
+
+
+def strongest(path, wall, mount):
+    frames = world.listen(path, wall, mount=mount, spec=world.SPEC.but(antenna={"kind": "isotropic"}), noise=0, edge=0)
+    return frames.range_m[np.argmax(frames.amplitude, axis=1)]
+
+
+def test_only_sensors_apart_on_the_body_hear_a_turn_of_track_and_walls_together():
+    """A sensor at the body's middle hears the same in a turned hall from a turned track; one at an arm does not."""
+    turn = np.radians(5.0)
+    rotate = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    path = loop()
+    turned = Trajectory(
+        path.t_ns, np.column_stack([path.position[:, :2] @ rotate.T, path.position[:, 2]]), path.quat_xyzw
+    )
+    wall = np.array([PLAN[0]], float)
+    arm = np.eye(4)
+    arm[0, 3] = 0.5
+    for mount, same in ((np.eye(4), True), (arm, False)):
+        share = np.mean(strongest(path, wall, mount) == strongest(turned, wall @ rotate.T, mount))
+        assert share > 0.98 if same else share < 0.7
+
+
+def test_sensors_of_different_carriers_are_left_as_they_are():
+    path = ul.Trajectory.line((-0.2, 0, 0), (0.2, 0, 0), rate_hz=25)
+    one = world.listen(path, PLAN, sensor="one")
+    other = replace(one, sensor="other", spec=one.spec.but(center_hz=1.1 * one.spec.center_hz))
+    with pytest.warns(ul.UllageWarning, match="the carriers of the sensors differ"):
+        assert not correct_drift_by_surfaces({"one": one, "other": other}).corrected

@@ -186,14 +186,14 @@ def test_roll_and_pitch_are_projected_to_the_plane():
                           poses=f.poses), "frame 3 has a sample that is not finite"),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("method", ["elfes", "rules", "ullage"])
+@pytest.mark.parametrize("method", ["elfes", "ullage"])
 def test_bad_frames_are_refused(change, words, method):
     path = Trajectory.line((-2, 0, 0), (2, 0, 0), rate_hz=10, yaw_deg=90)
     with pytest.raises(ul.InputError, match=words):
         ul.map_occupancy(change(echoes(path, np.full(len(path), 3.0))), GRID, method=method)
 
 
-@pytest.mark.parametrize("method", ["elfes", "rules", "ullage"])
+@pytest.mark.parametrize("method", ["elfes", "ullage"])
 def test_a_grid_that_does_not_hold_the_flight_is_refused(method):
     path = Trajectory.line((-2, 0, 0), (9, 0, 0), rate_hz=10, yaw_deg=90)
     with pytest.raises(ul.InputError, match="does not hold the flight: frame 160"):
@@ -211,7 +211,7 @@ def test_poses_that_jump_are_warned_about():
 
 
 def test_unknown_method_names_the_known_ones():
-    with pytest.raises(ul.InputError, match="ullage, likelihood, rules, elfes"):
+    with pytest.raises(ul.InputError, match="ullage, likelihood, elfes"):
         ul.map_occupancy(echoes(Trajectory.stationary(), [3.0]), GRID, method="magic")
     warnings.resetwarnings()
 

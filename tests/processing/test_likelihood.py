@@ -98,12 +98,11 @@ def centres(omap):
     return np.stack([omap.grid.x_m[column], omap.grid.y_m[row]], axis=1)
 
 
-def test_the_default_is_the_best_mapper_for_the_grid():
+def test_the_default_is_likelihood_on_a_plane_and_in_a_volume():
     frames = {name: part[:12] for name, part in flown(curve(), wall(90, 2.4)).items()}
     volume = ul.Grid.covering([[-5, -4, -1], [5, 4, 1]], 0.2, dims=3)
-    for grid, method in ((GRID, "likelihood"), (volume, "rules")):
-        assert ul.map_occupancy(frames, grid).method == method
-        assert ul.map_occupancy(frames, grid, method="rules").method == "rules"
+    for grid in (GRID, volume):
+        assert ul.map_occupancy(frames, grid).method == "likelihood"
 
 
 def test_an_empty_world_stays_empty():

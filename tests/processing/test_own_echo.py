@@ -153,7 +153,7 @@ def test_detections_and_maps_are_freed_of_it_by_default() -> None:
     assert np.median(kept.range_m) < 0.3
     assert np.median(found.range_m) == pytest.approx(0.7, abs=0.05)
     grid = ul.Grid((-1, -2.5, 0), 0.1, (50, 40))
-    omap = ul.map_occupancy(frames, grid, method="rules")
+    omap = ul.map_occupancy(frames, grid)
     x = omap.grid.x_m[np.nonzero(omap.occupied)[1]]
     assert len(x)
     assert np.median(x) == pytest.approx(0.7, abs=0.15)

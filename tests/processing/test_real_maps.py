@@ -11,7 +11,6 @@ import pytest
 import ullage as ul
 from ullage.data import Calibration
 from ullage.processing.baseband import as_baseband, to_baseband
-from ullage.processing.blocks import Blocks
 from ullage.processing.floor import floor_echo
 from ullage.processing.own_echo import without_own_echo
 from ullage.processing.scatterers import Scatterer, find_scatterers, with_scatterers
@@ -120,40 +119,23 @@ def test_a_scatterer_where_the_vehicle_flew_shows_only_where_it_outweighs_the_fl
     assert with_scatterers(omap, []).percent is omap.percent
 
 
-def test_what_the_vehicle_fills_is_free_unless_a_later_echo_stands_there() -> None:
-    grid = ul.Grid((0.0, 0.0, 1.0), 0.1, (40, 40))
-    place = np.array([2.05, 2.05, 1.0])
-    for radius, free in ((0.25, False), (0.5, True)):
-        blocks = Blocks(grid)
-        blocks.lay(place + np.array([0.4, 0, 0]), np.array([1.0, 0, 0]), (0.02, 0.05, 3.0))
-        before = int(blocks.pools.hits.astype(int).sum())
-        blocks.clear(place, radius)
-        left = int(blocks.pools.hits.astype(int).sum())
-        assert before > 0
-        assert (left == 0) == free
-        blocks.lay(place + np.array([0.4, 0, 0]), np.array([1.0, 0, 0]), (0.02, 0.05, 3.0))
-        assert blocks.pools.hits.max() > 0
-
-
-@pytest.mark.parametrize("method", ["rules", "likelihood"])
-def test_the_mapper_frees_what_the_vehicle_fills(method: str) -> None:
+def test_the_mapper_frees_what_the_vehicle_fills() -> None:
     position = curved(60)
     frames = near(rf_frames(position, [], noise=1.0))
     grid = ul.Grid.covering(np.array([[-2.0, -2, 0], [3, 6, 2]]), 0.1)
     x, y = np.meshgrid(grid.x_m, grid.y_m)
     first = np.hypot(x - position[0, 0], y - position[0, 1]) < 0.55
     for radius, whole in ((0.25, False), (0.6, True)):
-        omap = ul.map_occupancy(frames, grid, method=method, remove_own_echo=False, vehicle_radius_m=radius)
+        omap = ul.map_occupancy(frames, grid, remove_own_echo=False, vehicle_radius_m=radius)
         known = omap.percent[first]
         assert bool(((known >= 0) & (known <= 5)).all()) == whole
 
 
-@pytest.mark.parametrize("method", ["rules", "likelihood"])
 @pytest.mark.parametrize("radius", [0.0, -1.0, float("nan"), 11.0])
-def test_no_vehicle_of_impossible_size(radius: float, method: str) -> None:
+def test_no_vehicle_of_impossible_size(radius: float) -> None:
     frames, grid = clutter(curved(40), seed=0), ul.Grid((-3, -3, 0), 0.1, (90, 90))
     with pytest.raises(ul.InputError, match=r"vehicle_radius_m is .*above 0, at most 10 m"):
-        ul.map_occupancy(frames, grid, method=method, vehicle_radius_m=radius)
+        ul.map_occupancy(frames, grid, vehicle_radius_m=radius)
 
 
 def test_a_straight_track_takes_the_height_that_is_given() -> None:
@@ -164,12 +146,11 @@ def test_a_straight_track_takes_the_height_that_is_given() -> None:
     np.testing.assert_allclose(best.place, place, atol=0.06)
 
 
-@pytest.mark.parametrize("method", ["rules", "likelihood"])
-def test_calibrated_frames_map_their_scatterers_and_nothing_on_the_path(method: str) -> None:
+def test_calibrated_frames_map_their_scatterers_and_nothing_on_the_path() -> None:
     position, place = curved(), np.array([3.0, 2.0, 0.3])
     frames = rf_frames(position, [np.linalg.norm(position - place, axis=1)], noise=1.0)
     grid = ul.Grid.covering(np.array([[-2.0, -2, 0], [5, 6, 2]]), 0.1)
-    omap = ul.map_occupancy(replace(near(frames), calibration=KNOWN), grid, method=method, remove_own_echo=False)
+    omap = ul.map_occupancy(replace(near(frames), calibration=KNOWN), grid, remove_own_echo=False)
     assert to_nearest(omap, place[None]) < 0.15
     assert to_nearest(omap, position) > 0.3
 
@@ -178,10 +159,8 @@ def test_a_known_floor_is_no_wall_along_a_straight_track() -> None:
     position = np.stack([np.zeros(300), np.linspace(0, 4, 300), np.full(300, 1.8)], axis=1)
     frames = rf_frames(position, [np.full(300, 1.8)], noise=0.01)
     grid = ul.Grid.covering(np.array([[-4.0, -2, 0], [4, 6, 2]]), 0.1)
-    assert ul.map_occupancy(frames, grid, method="rules", remove_own_echo=False).occupied.any()
-    for method in ("rules", "likelihood"):
-        omap = ul.map_occupancy(frames, grid, method=method, remove_own_echo=False, floor_z_m=0.0)
-        assert not omap.occupied.any()
+    assert ul.map_occupancy(frames, grid, remove_own_echo=False).occupied.any()
+    assert not ul.map_occupancy(frames, grid, remove_own_echo=False, floor_z_m=0.0).occupied.any()
 
 
 @pytest.mark.parametrize("long_m", [-0.15, 0.0, 0.2])
@@ -205,9 +184,8 @@ def to_nearest(omap: ul.OccupancyMap, places: np.ndarray) -> float:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")
-@pytest.mark.parametrize("method", ["rules", "likelihood"])
 @pytest.mark.parametrize("name", ["rail_a", "flight_a"])
-def test_the_surveyed_reflector_is_on_the_map_and_nothing_on_the_path(name: str, method: str) -> None:
+def test_the_surveyed_reflector_is_on_the_map_and_nothing_on_the_path(name: str) -> None:
     """With the offsets that the data's README documents."""
     if not (DATA / name).exists():
         pytest.skip("the real recordings are not here")
@@ -222,7 +200,7 @@ def test_the_surveyed_reflector_is_on_the_map_and_nothing_on_the_path(name: str,
                      range_m=raw.range_m + range_m, calibration=KNOWN)  # fmt: skip
     position = frames.believed.position
     bounds = np.stack([position.min(0) - 7, position.max(0) + 7])
-    omap = ul.map_occupancy(frames, ul.Grid.covering(bounds, 0.1), method=method, floor_z_m=0.0,
+    omap = ul.map_occupancy(frames, ul.Grid.covering(bounds, 0.1), floor_z_m=0.0,
                             target_z_m=float(mark[2]), vehicle_radius_m=0.3)  # fmt: skip
     assert to_nearest(omap, mark[None]) < 0.15
     assert to_nearest(omap, position) > 0.3

@@ -32,7 +32,7 @@ class MappingOptions(SourceOptions):
     step_m: float = Field(0.1, gt=0, description="edge of a cell")
     reach_m: float = Field(10.0, gt=0, description="how far around the first pose the map goes")
     margin_m: float = Field(0.0, ge=0, description="added to reach_m")
-    method: MapMethod = Field("ullage", description="ullage, likelihood, rules, or elfes as the thesis had it")
+    method: MapMethod = Field("ullage", description="ullage, likelihood, or elfes as the thesis had it")
     threshold: float | None = Field(None, gt=0, description="lowest amplitude of an echo; none: the method's own")
     every_s: float = Field(0.2, ge=0.2, le=3600, description="time between two maps or images")
     image: bool = Field(False, description="also focus a SAR image at the height of the first pose")

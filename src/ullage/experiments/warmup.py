@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable
 from functools import partial
 from typing import Literal
 
 import numpy as np
 
-from ullage.config import MapMethod, Scenario
+from ullage.config import Scenario
 from ullage.data import Frames
 from ullage.kernels import loops
 from ullage.processing.occupancy import BEST
@@ -27,7 +26,7 @@ def parts_of(scenario: Scenario, scene: Scene | None = None) -> tuple[str, ...]:
     """
     parts = [scenario.flight.vehicle, *radar_parts(scenario.sensing.fidelity, scenario.sensing.max_bounces, scene)]
     method = scenario.map.method
-    method = BEST[scenario.map.dims] if method == "ullage" else method
+    method = BEST if method == "ullage" else method
     if method == "likelihood" and scenario.map.dims == 3:
         method = "likelihood in volumes"
     parts += [method] if "map" in scenario.do else []
@@ -59,26 +58,11 @@ def _flight() -> None:
     fly(Waypoints(np.array([[0.0, 0, 0], [0, 0.1, 0]])), scene=wall, rate_hz=10)
 
 
-def _map(method: MapMethod) -> None:
+def _first_peaks() -> None:
     from ullage.grids import Grid
     from ullage.processing.occupancy import map_occupancy
 
-    map_occupancy(_few(), Grid.covering(np.array([[-1, -1, -1], [3, 1, 1]]), 0.2), method=method)
-    if method == "rules":
-        _join_legs()
-
-
-def _join_legs() -> None:
-    """Run the kernels that a volume needs after several straight segments have detected a wall."""
-    from ullage.processing.mapper_echoes import Echo
-    from ullage.processing.mapper_legs import LEAST_ECHOES, Legs
-
-    legs, along, abeam = Legs(), np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
-    for height in (0.0, 0.5, 1.0):
-        places = [np.array([0.05 * k, 0, height]) for k in range(LEAST_ECHOES)]
-        echoes = [Echo(k, at, along, 2.0, 0.0, 1e-3, 0.02, 1.0) for k, at in enumerate(places)]
-        legs.add(echoes, echoes, abeam, 0.5, 2.0)
-    deque(legs.tell_all(), maxlen=0)
+    map_occupancy(_few(), Grid.covering(np.array([[-1, -1, -1], [3, 1, 1]]), 0.2), method="elfes")
 
 
 def _surfaces(dims: Literal[2, 3]) -> None:
@@ -112,8 +96,7 @@ def _few(half_m: float = 0.1) -> Frames:
 
 JOBS = (
     *radar.JOBS,
-    Job("elfes", partial(_map, "elfes")),
-    Job("rules", partial(_map, "rules")),
+    Job("elfes", _first_peaks),
     Job("backprojection", _image),
     Job("likelihood", partial(_surfaces, 2)),
     Job("likelihood in volumes", partial(_surfaces, 3)),

@@ -8,14 +8,12 @@ import numpy as np
 
 from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
-from ullage.processing.drift_walls import Offset
 from ullage.processing.likelihood.drift_prior import Drift, DriftPrior
 from ullage.processing.likelihood.pose_graph import Estimate, PoseGraph, Track, find_track
 from ullage.processing.likelihood.spec import LikelihoodSpec
 
 PASSES = 12  # at most; most flights settle after 3 to 6
 BEAM = 2  # priors that later passes try
-WALLS_SIGMA_M = 0.005  # to which a drift follows the offset that flat walls show
 KNOWN_SIGMA_M = 0.001  # of the drift of poses that are taken as they are
 
 
@@ -51,7 +49,7 @@ class Search:
         return max(self.tried, key=lambda one: one.nats)
 
 
-def search_drift(parts: list[Frames], priors: list[DriftPrior], walls: Offset | None = None) -> Search | None:
+def search_drift(parts: list[Frames], priors: list[DriftPrior]) -> Search | None:
     """Search for the drift with most evidence.
 
     Every pass estimates drift and surfaces together from the echoes of the pass before, under each prior. It then finds
@@ -62,7 +60,6 @@ def search_drift(parts: list[Frames], priors: list[DriftPrior], walls: Offset | 
     Args:
         parts: frames with poses, of one carrier.
         priors: of the drift, as likely as each other, the slowest first.
-        walls: an offset that flat walls show, one of the candidates of the first pass.
 
     Returns:
         What was found, or None where no surface is seen well.
@@ -75,8 +72,6 @@ def search_drift(parts: list[Frames], priors: list[DriftPrior], walls: Offset | 
     now, tried, settled = kept, list[Solution](), False
     for _ in range(PASSES):
         drifts = [_refitted(now, prior) for prior in priors]
-        if walls is not None and not tried:
-            drifts.append(priors[-1].fitted(now.t_s, walls.at(now.t_s), WALLS_SIGMA_M))
         found = [one for drift in drifts if drift is not None and (one := _evaluated(parts, drift)) is not None]
         if not found:
             break

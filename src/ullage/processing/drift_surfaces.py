@@ -3,22 +3,35 @@
 from __future__ import annotations
 
 import math
+import warnings
+from dataclasses import dataclass
 
 import numpy as np
 
 from ullage.arrays import Floats
 from ullage.data import Frames, Recording, sensors_of
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageWarning
 from ullage.processing.baseband import as_baseband
-from ullage.processing.drift import HARMLESS_M, DriftCorrection, correct_drift, kept, wall_offset
 from ullage.processing.drift_search import Search, Solution, moved, search_drift
 from ullage.processing.likelihood.drift_prior import DriftPrior
 
 TIMES = (1.0, 1 / 3, 1 / 9)  # correlation times that are tried, in lengths of the flight
 LEAD_NATS = 50.0  # of evidence by which a drift must lead
 APART = 3.0  # standard deviations from which two solutions differ
-WALLS_S = 5.0  # correlation time for the fit to flat walls [s]
+HARMLESS_M = 0.03  # a smaller drift is left alone (rms)
 MOST_LEFT = 0.5  # share of the prior's variance from which the poses are not known to be good
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriftCorrection:
+    """Frames with or without the slow error of their poses, and the estimate of that error."""
+
+    frames: dict[str, Frames]
+    corrected: bool  # whether the poses were moved
+    reason: str  # for the user
+    t_s: Floats  # (k) [s], of the frames' clock
+    offset_m: Floats  # (k, 2) added to the horizontal positions; zero where the input is kept
+    sigma_m: Floats  # (k, 2) standard deviation of the remaining error on each axis
 
 
 def correct_drift_by_surfaces(
@@ -28,16 +41,16 @@ def correct_drift_by_surfaces(
 
     The offset of the track is a Gaussian process [Rasmussen2006]. It is estimated together with all surfaces that echo,
     so that the echoes fit their surfaces (`processing.likelihood.pose_graph`). Echoes are then found anew at the
-    corrected poses, and the estimate is repeated as long as the evidence grows (`processing.drift_search`). The fit to
-    flat walls (`processing.drift`) is one of the candidates. It is the only one where the carriers of the sensors
-    differ. No angle between walls is assumed.
+    corrected poses, and the estimate is repeated as long as the evidence grows (`processing.drift_search`). No angle
+    between walls is assumed.
 
     The offset counts from the first keyframe, because a shift of track and surfaces together changes no echo. A turn of
     both changes hardly any. The smoothness of the offset at corners of the flight limits it.
 
     The evidence decides. The input is kept, with a warning, where no drift leads by 50 nats over the poses as they are,
-    where another drift comes as near as that to the best one, and where the search does not settle. It is also kept
-    where the best drift is under 3 cm (rms), without a warning if the surfaces show more than half of any drift.
+    where another drift comes as near as that to the best one, where the search does not settle, and where the carriers
+    of the sensors differ. It is also kept where the best drift is under 3 cm (rms), without a warning if the surfaces
+    show more than half of any drift.
 
     Args:
         frames: one sensor's, or several on one body, with poses.
@@ -57,28 +70,34 @@ def correct_drift_by_surfaces(
     parts = sensors_of(frames)
     by_name = {part.sensor: part for part in parts}
     if len({part.spec.wavelength_m for part in parts}) > 1:
-        return correct_drift(frames, drift_m=drift_m)
+        return _kept(by_name, "the carriers of the sensors differ", drift_m)
     times = np.concatenate([part.believed.t_ns for part in parts]) * 1e-9
     first, last = float(times.min()), float(times.max())
     if last <= first:
-        return kept(by_name, "one moment shows no drift", drift_m)
+        return _kept(by_name, "one moment shows no drift", drift_m)
     scales = [(last - first) * share for share in TIMES] if time_s is None else [time_s]
     priors = [DriftPrior(first, last, drift_m, scale) for scale in scales]
-    walls = wall_offset(parts, drift_m, WALLS_S)
-    given = None if isinstance(walls, str) else walls
-    return _decided(by_name, search_drift([as_baseband(part) for part in parts], priors, given), drift_m)
+    return _decided(by_name, search_drift([as_baseband(part) for part in parts], priors), drift_m)
+
+
+def _kept(frames: dict[str, Frames], reason: str, drift_m: float) -> DriftCorrection:
+    """Return the input unchanged, and warn with the reason."""
+    warnings.warn(f"drift is not corrected: {reason}; the poses are kept", UllageWarning, stacklevel=4)
+    path = next(iter(frames.values())).believed
+    t_s = np.asarray(path.t_ns[[0, -1]] * 1e-9, np.float64)
+    return DriftCorrection(frames, False, reason, t_s, np.zeros((2, 2)), np.full((2, 2), drift_m))
 
 
 def _decided(frames: dict[str, Frames], search: Search | None, drift_m: float) -> DriftCorrection:
     """Return the frames moved by the best drift, or kept if it is negligible or does not lead."""
     if search is None:
-        return kept(frames, "no surface is seen well", drift_m)
+        return _kept(frames, "no surface is seen well", drift_m)
     best = search.best
     sigma, size = np.sqrt(best.variance), _rms(best.offset)
     if size < HARMLESS_M and best.left < MOST_LEFT:
         return DriftCorrection(frames, False, _near(size), best.t_s, 0 * best.offset, sigma + size)
     if why := _why_kept(search):
-        return kept(frames, why, drift_m)
+        return _kept(frames, why, drift_m)
     done = f"moved by {1e3 * size:.0f} mm (rms), known to {1e3 * _rms(sigma):.0f} mm"
     out = {name: moved(part, best.drift, float(best.t_s[0])) for name, part in frames.items()}
     return DriftCorrection(out, True, done, best.t_s, best.offset, sigma)

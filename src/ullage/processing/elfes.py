@@ -16,7 +16,7 @@ from ullage.geometry import quat_matrix
 from ullage.grids import UNKNOWN, Changes, Grid, OccupancyMap
 from ullage.kernels.elfes import Cells, Lobe, Reading, insert_reading, lobe_box
 from ullage.processing.echoes import first_echo
-from ullage.processing.mapper_door import in_order, plane_of
+from ullage.processing.intake import in_order, plane_of
 
 LOBE_DEG = 65.0
 SPREAD_M = 0.15

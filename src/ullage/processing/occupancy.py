@@ -17,17 +17,16 @@ from ullage.processing.health import judged
 from ullage.processing.own_echo import without_own_echo
 from ullage.processing.scatterers import PFA, find_scatterers, with_scatterers
 
-BEST: Mapping[int, str] = {2: "likelihood", 3: "rules"}
-"""Method that "ullage" stands for, by the dimensions of the grid."""
+BEST = "likelihood"
+"""Method that "ullage" stands for."""
 METHODS: Mapping[str, tuple[str, str]] = {
     "likelihood": ("ullage.processing.likelihood.methods", "likelihood_mapper"),
-    "rules": ("ullage.processing.mapper", "UllageMapper"),
     "elfes": ("ullage.processing.elfes", "ElfesMapper"),
 }
 """Module and class of each map method that is shipped; other packages add theirs to the group `ullage.map_methods`."""
 
 
-COHERENT = ("ullage", "rules", "likelihood")
+COHERENT = ("ullage", BEST)
 """Methods whose maps take the scatterers that stay coherent along calibrated frames."""
 
 
@@ -52,7 +51,7 @@ def Mapper(grid: Grid, *, method: str = "ullage", **options: Any) -> StreamingMa
 
     Args:
         grid: the cells of the map.
-        method: "ullage", the best one for such a grid; one of `METHODS`, or one that another package adds.
+        method: "ullage", the best one; one of `METHODS`, or one that another package adds.
         **options: those of the method.
 
     Raises:
@@ -60,7 +59,7 @@ def Mapper(grid: Grid, *, method: str = "ullage", **options: Any) -> StreamingMa
     """
     checks.instance("grid", grid, Grid, "map_occupancy")
     make: Callable[..., StreamingMapper] | None
-    method = BEST[grid.dims] if method == "ullage" else method
+    method = BEST if method == "ullage" else method
     if method in METHODS:
         module, name = METHODS[method]
         make = getattr(importlib.import_module(module), name)
@@ -94,18 +93,17 @@ def map_occupancy(
         frames: one sensor's, or several by name; sensors may differ in settings and rate. Those that a radar did not
             receive, as when it is deaf or repeats itself, are left out with a warning (`processing.health`).
         grid: a plane or a volume that holds the flight.
-        method: "ullage", the best one: "likelihood" on a plane, "rules" in a volume; "likelihood", surfaces by one
-            likelihood ratio; "rules", all that each profile says; "elfes", the thesis' baseline; or the name of one
-            that another package adds. The map's `method` says which one made it.
+        method: "ullage", the best one, which is "likelihood": surfaces by one likelihood ratio; "elfes", the thesis'
+            baseline; or the name of one that another package adds. The map's `method` says which one made it.
         drift_m: sigma of a slow error of the poses [m]; above zero, it is taken out first as far as surfaces show it,
             and a warning says where they do not (`processing.drift_surfaces.correct_drift_by_surfaces`).
         remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).
         target_z_m: height of coherent scatterers on a straight track; None: that of the track. Frames that
             `ul.calibrate` put on a track have such scatterers found and added (`processing.scatterers`).
         scatterer_pfa: probability that clutter alone adds one coherent scatterer or more.
-        options: those of the method's mapper: `threshold` of "elfes"; of the others `floor_z_m`, a level floor's height
-            [m], whose echoes a plane leaves out, and `vehicle_radius_m`, the radius of the ball about the antenna
-            that the vehicle fills (0.25 m); of "likelihood" `spec`, a `processing.likelihood.spec.LikelihoodSpec`.
+        options: those of the method's mapper: `threshold` of "elfes"; of "likelihood" `floor_z_m`, the height of a
+            level floor [m], whose echoes a plane leaves out, `vehicle_radius_m`, the radius of the ball about the
+            antenna that the vehicle fills (0.25 m), and `spec`, a `processing.likelihood.spec.LikelihoodSpec`.
 
     Raises:
         InputError: the method is unknown, or the frames cannot be mapped.

@@ -25,13 +25,13 @@ from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.grids import OccupancyMap
 from ullage.processing.baseband import as_baseband
-from ullage.processing.blocks import PRIOR
 from ullage.processing.point_focus import Point, PointFocus
 
 PFA = 0.01
 """Probability that the clutter of a recording alone gives one scatterer or more."""
 SURROGATES, PEAKS = 4, 5  # recordings that the tail is taken from, and how many peaks of each on average
 LEAST_POSES = 8
+PRIOR = -3.5  # log-odds that a cell of which nothing is known is occupied
 LEAST_CHANCE = 1e-12  # the tail is not believed farther
 MOST_LOG_ODDS = 6.9  # of what a map holds in whole per cent
 LEVEL_RAD = 0.1  # steepest straight track whose scatterers are moved to a chosen height
@@ -105,7 +105,7 @@ def find_scatterers(
 def with_scatterers(omap: OccupancyMap, found: Sequence[Scatterer]) -> OccupancyMap:
     """Add the evidence of scatterers to their cells: log-odds of -ln(chance) to what the map holds.
 
-    Cells of which nothing is known start from the mapper's prior. Cells that the vehicle flew through need stronger
+    Cells of which nothing is known start from 3 % (log-odds of -3.5). Cells that the vehicle flew through need stronger
     evidence. A plane shows scatterers of every height, a volume those of known height.
 
     Args:

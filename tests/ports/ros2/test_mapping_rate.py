@@ -24,7 +24,7 @@ def flight(seconds: float) -> dict[str, ul.Frames]:
     return {part.sensor: part for part in sensors_of(frames)}
 
 
-@pytest.mark.parametrize("method", ["elfes", "rules", "ullage"])
+@pytest.mark.parametrize("method", ["elfes", "ullage"])
 @pytest.mark.parametrize("every_s", [0.2, 0.5])
 def test_maps_and_images_come_at_the_asked_rate(method: str, every_s: float) -> None:
     """A piece of 0.1 s at a time, as the node gathers them when nothing delays it.
@@ -51,7 +51,7 @@ def test_maps_and_images_come_at_the_asked_rate(method: str, every_s: float) -> 
 
 @pytest.mark.ros2
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["elfes", "rules", "ullage"])
+@pytest.mark.parametrize("method", ["elfes", "ullage"])
 def test_the_node_publishes_maps_and_images_five_times_a_second(network: Network, method: str) -> None:
     """Stamps count, not arrivals; at half pace a busy machine has 0.4 s for each map and image."""
     words = (

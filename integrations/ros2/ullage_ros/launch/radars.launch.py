@@ -21,7 +21,7 @@ ARGUMENTS = {
     "tf_static": ("/tf_static", "the topic /tf_static under another name"),
     "map": ("map", "the topic map under another name"),
     "map_updates": ("map_updates", "the topic map_updates under another name"),
-    "method": ("ullage", "of mapping: ullage, likelihood, rules, or elfes as in 2018"),
+    "method": ("ullage", "of mapping: ullage, likelihood, or elfes as in 2018"),
     "mapping": ("true", "also map"),
     "rviz": ("false", "also show"),
 }

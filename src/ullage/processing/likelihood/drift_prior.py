@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 from scipy.linalg import solve_continuous_lyapunov
-from scipy.sparse.linalg import spsolve
 
 from ullage.arrays import Floats
 
@@ -84,12 +83,6 @@ class DriftPrior:
         column = ORDER * knot[:, None] + np.arange(2 * ORDER)
         row = np.repeat(np.arange(len(t_s)), 2 * ORDER)
         return sparse.csr_matrix((rows.ravel(), (row, column.ravel())), (len(t_s), self.size))
-
-    def fitted(self, t_s: Floats, offset: Floats, sigma_m: float) -> Drift:
-        """The most likely drift that shows offsets (t, 2) [m] at some times, with errors of a standard deviation."""
-        basis = self.basis(t_s)
-        matrix = sparse.csc_matrix(basis.T @ basis / sigma_m**2 + self.precision())
-        return Drift(self, np.asarray(spsolve(matrix, basis.T @ offset / sigma_m**2)).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,6 +14,7 @@ from ullage.data import Frames, Recording
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import Changes, Grid, MappedSurface, OccupancyMap
 from ullage.processing.baseband import as_baseband
+from ullage.processing.intake import in_order, plane_of, radius_of_vehicle
 from ullage.processing.likelihood.cells import render
 from ullage.processing.likelihood.echoes import LEAST_ROWS, EchoFinder
 from ullage.processing.likelihood.keyframes import Keyframe, KeyframeSelector
@@ -22,7 +23,6 @@ from ullage.processing.likelihood.silence import Silence
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import Surface, SurfaceTracker, smoothed
 from ullage.processing.likelihood.workload import Workload
-from ullage.processing.mapper_door import in_order, plane_of, radius_of_vehicle
 
 CELL_M = 0.05  # places of the track are kept apart by as much
 STRAIGHT_DOWN = -1.0, 0.0, 0.0, 0.0, 0.0  # a level floor's bearing, curvature and cosine; it has one state only
@@ -54,9 +54,7 @@ class LikelihoodMapper:
         vehicle_radius_m: float | None = None,
     ) -> None:
         if grid.dims != 2:
-            raise InputError(
-                "the likelihood mapper maps a plane", where="grid", allowed="a grid with dims=2, or method='rules'"
-            )
+            raise InputError("this mapper maps a plane", where="grid", allowed="a grid with dims=2, or VolumeMapper")
         grid.check_memory(40, "the map")
         self._echoes = EchoFinder(spec := self._set_up(grid, spec, vehicle_radius_m))
         self._pose_errors = self._echoes.pose_errors
@@ -104,7 +102,7 @@ class LikelihoodMapper:
                 if self._phase
                 else "its samples have phase, but another sensor's have not",
                 where=part.sensor,
-                allowed="samples with phase of all sensors, or amplitudes of all; or method='rules'",
+                allowed="samples with phase of all sensors, or amplitudes of all",
             )
         self._wavelength_m = self._wavelength_m or part.spec.wavelength_m
         self._fold_m = part.spec.unambiguous_range_m
@@ -112,7 +110,7 @@ class LikelihoodMapper:
             raise InputError(
                 f"its carrier differs from the other sensors' ({part.spec.center_hz:g} Hz)",
                 where=part.sensor,
-                allowed="one center_hz for all sensors, or method='rules'",
+                allowed="one center_hz for all sensors; or one map for each carrier",
             )
 
     def _take_in(self, *, finish: bool) -> None:

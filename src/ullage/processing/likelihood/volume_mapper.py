@@ -12,6 +12,7 @@ from ullage.arrays import Bools, Floats
 from ullage.data import Recording
 from ullage.grids import UNKNOWN, Grid, MappedSurface, OccupancyMap
 from ullage.processing.baseband import as_baseband
+from ullage.processing.intake import in_order
 from ullage.processing.inverse_sensor import mirror_m
 from ullage.processing.likelihood.directions import DirectionFinder
 from ullage.processing.likelihood.keyframes import Keyframe
@@ -19,7 +20,6 @@ from ullage.processing.likelihood.mapper import CELL_M, LikelihoodMapper
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.volume_map import Quiet, Radar, quiet_of, render, smoothed
 from ullage.processing.likelihood.volume_surfaces import SpatialSurface, SpatialTracker
-from ullage.processing.mapper_door import in_order
 
 QUIET_M = 0.1  # places whose silence is kept apart
 

@@ -1,4 +1,4 @@
-"""What every mapper checks before it starts, and the changed region it keeps for publishing."""
+"""What every mapper checks before it takes frames in."""
 
 from __future__ import annotations
 
