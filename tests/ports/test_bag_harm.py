@@ -91,6 +91,7 @@ def test_killed_recording_is_readable_to_the_last_second(tmp_path: Path) -> None
 @pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")
 def test_a_killed_bag_gets_its_index_and_its_metadata_back(tmp_path: Path) -> None:
     folder = tmp_path / "run"
+    folder.mkdir()
     process, _ = writing(folder / "frames.mcap")
     assert repair_bag(folder) == ""  # its writer lives
     assert not (folder / "metadata.yaml").exists()

@@ -20,6 +20,7 @@ from ullage.ports.imc.frames import settings as settings_message
 
 
 def told(folder: Path, frames: dict[str, ul.Frames]) -> bytes:
+    folder.mkdir()
     with ul.sink(folder / "Data.lsf", distance="off") as sink:
         sink.write(frames)
     return (folder / "Data.lsf").read_bytes()
