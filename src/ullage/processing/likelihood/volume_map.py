@@ -316,7 +316,8 @@ def _normals() -> tuple[Floats, Floats]:
     """Normals (n, 3) of surfaces over half the sphere, the level one first, then upright ones, and priors (n)."""
     course = (np.arange(UPRIGHT_NORMALS) + 0.5) / UPRIGHT_NORMALS * math.pi
     upright = np.column_stack([np.cos(course), np.sin(course), np.zeros(UPRIGHT_NORMALS)])
-    z = np.linspace(*np.sin(np.radians(SLOPES_DEG)), SLOPED_NORMALS)
+    low, high = (math.sin(math.radians(slope)) for slope in SLOPES_DEG)
+    z = np.linspace(low, high, SLOPED_NORMALS)
     turn, side = math.pi * (1 + math.sqrt(5)) * np.arange(SLOPED_NORMALS), np.sqrt(1 - z**2)
     sloped = np.column_stack([side * np.cos(turn), side * np.sin(turn), z])
     prior = np.repeat([LEVEL_PRIOR, UPRIGHT_PRIOR / UPRIGHT_NORMALS, SLOPED_PRIOR / SLOPED_NORMALS],
