@@ -373,15 +373,16 @@ def _goes_on(hearing: Hearing, x: float, y: float, z: float, place: Floats, norm
 
 
 @inner()
-def _is_excluded(hearing: Hearing, x: float, y: float, z: float, normal: Floats, n: int) -> bool:
-    """Whether a flat surface through a point would have been received at its foot from a keyframe.
+def _excluder(hearing: Hearing, x: float, y: float, z: float, normal: Floats, n: int, first: int) -> int:
+    """A keyframe that would have received a flat surface through a point at its foot, from `first` on, or -1.
 
     Upright and level surfaces may end at rims above or below, as boxes and tables do. A rim may return nothing in one
     polarisation [Keller1962], so the foot must lie at the height of the point, or near it.
     """
     steps, count = hearing.heard.shape[2], hearing.heard.shape[1] // 2
     rims = abs(normal[2]) < LEVEL or abs(normal[2]) > 1 - LEVEL
-    for k in range(len(hearing.position)):
+    for m in range(len(hearing.position)):
+        k = (first + m) % len(hearing.position)
         p = hearing.position[k]
         dx, dy, dz = x - p[0], y - p[1], z - p[2]
         far = dx * normal[0] + dy * normal[1] + dz * normal[2]
@@ -391,8 +392,8 @@ def _is_excluded(hearing: Hearing, x: float, y: float, z: float, normal: Floats,
         if rims and abs(far * normal[2] - dz) > RIM_M and dx * dx + dy * dy + dz * dz - far * far > RIM_M * RIM_M:
             continue
         if _goes_on(hearing, x, y, z, p, normal, far):
-            return True
-    return False
+            return k
+    return -1
 
 
 @loop()
@@ -406,7 +407,7 @@ def exclude_surfaces(hearing: Hearing, normals: Floats, prior: Floats, most: flo
         most: share that may be left.
         free: (cells of the lattice) set; those that are not free to begin with stay so.
     """
-    lattice = hearing.lattice
+    lattice, last = hearing.lattice, np.zeros(len(normals), np.int64)  # keyframes that excluded each in cells before
     for i in range(lattice.levels):
         for j in range(lattice.rows):
             for m in range(lattice.columns):
@@ -415,7 +416,10 @@ def exclude_surfaces(hearing: Hearing, normals: Floats, prior: Floats, most: flo
                 left, n = 0.0, 0
                 x, y, z = (m + 0.5) * lattice.step, (j + 0.5) * lattice.step, (i + 0.5) * lattice.step
                 while free[cell] and n < len(normals):
-                    if not _is_excluded(hearing, lattice.x + x, lattice.y + y, lattice.z + z, normals[n], n):
+                    k = _excluder(hearing, lattice.x + x, lattice.y + y, lattice.z + z, normals[n], n, last[n])
+                    if k >= 0:
+                        last[n] = k
+                    else:
                         left += prior[n]
                         free[cell] = left <= most
                     n += 1
