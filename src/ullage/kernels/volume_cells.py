@@ -349,10 +349,10 @@ def count_silence(
 
 
 @inner()
-def _goes_on(hearing: Hearing, x: float, y: float, z: float, place: Floats, normal: Floats, far: float) -> bool:
-    """Whether a flat surface goes on from a cell to its foot, the point nearest to a keyframe at a distance `far`.
+def _must_reach_foot(hearing: Hearing, x: float, y: float, z: float, place: Floats, normal: Floats, far: float) -> bool:
+    """Whether a flat surface through a cell must reach its foot, the point nearest to a keyframe at a distance `far`.
 
-    It would have to end in between, and its edge would have been received.
+    If it ended before, its edge would have been received.
     """
     lattice = hearing.lattice
     own = _cell(lattice, x, y, z)
@@ -373,7 +373,7 @@ def _goes_on(hearing: Hearing, x: float, y: float, z: float, place: Floats, norm
 
 
 @inner()
-def _excluder(hearing: Hearing, x: float, y: float, z: float, normal: Floats, n: int, first: int) -> int:
+def _excluding_keyframe(hearing: Hearing, x: float, y: float, z: float, normal: Floats, n: int, first: int) -> int:
     """A keyframe that would have received a flat surface through a point at its foot, from `first` on, or -1.
 
     Upright and level surfaces may end at rims above or below, as boxes and tables do. A rim may return nothing in one
@@ -391,7 +391,7 @@ def _excluder(hearing: Hearing, x: float, y: float, z: float, normal: Floats, n:
             continue
         if rims and abs(far * normal[2] - dz) > RIM_M and dx * dx + dy * dy + dz * dz - far * far > RIM_M * RIM_M:
             continue
-        if _goes_on(hearing, x, y, z, p, normal, far):
+        if _must_reach_foot(hearing, x, y, z, p, normal, far):
             return k
     return -1
 
@@ -416,7 +416,9 @@ def exclude_surfaces(hearing: Hearing, normals: Floats, prior: Floats, most: flo
                 left, n = 0.0, 0
                 x, y, z = (m + 0.5) * lattice.step, (j + 0.5) * lattice.step, (i + 0.5) * lattice.step
                 while free[cell] and n < len(normals):
-                    k = _excluder(hearing, lattice.x + x, lattice.y + y, lattice.z + z, normals[n], n, last[n])
+                    k = _excluding_keyframe(
+                        hearing, lattice.x + x, lattice.y + y, lattice.z + z, normals[n], n, last[n]
+                    )
                     if k >= 0:
                         last[n] = k
                     else:

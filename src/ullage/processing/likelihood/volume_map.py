@@ -60,8 +60,8 @@ LEAST_OCCLUDER_DB = (
 )  # against a mirror: a metal pole of 5 cm at 3 m, by the root of radius over 2 (range + radius)
 LATTICE_M = 0.2  # between the places at which surfaces are excluded
 UPRIGHT_NORMALS, SLOPED_NORMALS, SLOPES_DEG = 24, 39, (12.0, 80.0)  # every 7.5 deg; over the sphere between two slopes
-LEVEL_PRIOR, UPRIGHT_PRIOR, SLOPED_PRIOR = 0.3, 0.5, 0.2  # of the surfaces in tanks, halls and rooms
-MOST_LEFT = 0.06  # of these in a free cell: where one cell in ten is on a surface, 0.6 % of the free ones are
+LEVEL_PRIOR, UPRIGHT_PRIOR, SLOPED_PRIOR = 0.3, 0.5, 0.2  # shares of all surfaces: assumed, not counted
+MOST_LEFT = 0.06  # share of these that may be left in a free cell; chosen on the tuning kinds
 SIGHT_ROUNDS = 2
 BLOCKED = 10.0  # an echo of open direction ends silence unless it is as much weaker than the least occluder
 LEAST_VIEWS = 5  # keyframes that would have received an occluder
