@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
+import xacro
 
 import ullage as ul
 from ullage.world.sdf_resolve import Resolver
@@ -29,6 +31,16 @@ def test_a_trusted_file_is_expanded(tmp_path: Path) -> None:
     with pytest.raises(ul.InputError, match=r"r\.xacro: xacro evaluates Python.*--trust-xacro"):
         ul.load_scene(path)
     assert ul.load_scene(path, trust_xacro=True).bounds[1, 2] == 3
+
+
+def test_xacro_works_before_its_modules_are_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """uv, and pip with --no-compile, install no byte code; the child process may not write it either."""
+    source = Path(xacro.__file__).parent
+    shutil.copytree(source, tmp_path / "libraries/xacro", ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.syspath_prepend(tmp_path / "libraries")
+    path = robot(tmp_path, "l", before='<xacro:arg name="h" default="3"/>', height="$(arg h)")
+    assert ul.load_scene(path, trust_xacro=True).bounds[1, 2] == 1.5
+    assert not list(tmp_path.rglob("*.pyc"))
 
 
 def test_the_environment_variable_of_the_command_trusts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

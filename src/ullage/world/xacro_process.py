@@ -45,7 +45,7 @@ def expand_xacro(
     with tempfile.TemporaryFile() as out:
         try:
             done = subprocess.run(
-                [sys.executable, "-I", str(CHILD)], input=json.dumps(request).encode(), stdout=out,
+                [sys.executable, "-IB", str(CHILD)], input=json.dumps(request).encode(), stdout=out,
                 stderr=subprocess.PIPE, env={}, cwd=path.absolute().parent, timeout=longest_s, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
