@@ -734,8 +734,8 @@ def dataset(
     from ullage.radar.warmup import radar_parts
     from ullage.view.progress import answer, log, progress_bar
 
-    if not all(word in ("1", "2", "3") for word in bounces.split(",")):
-        raise InputError(f"cannot read {bounces!r}", where="--bounces", allowed="1 to 3, with commas between")
+    if not all(word.isdecimal() for word in bounces.split(",")):
+        raise InputError(f"cannot read {bounces!r}", where="--bounces", allowed="whole numbers, with commas between")
     drawn, where = [int(word) for word in bounces.split(",")], where_to_run(jobs, scheduler)
     parts = radar_parts("physical", max(drawn))
     compile_parts(parts)

@@ -14,7 +14,7 @@ from pydantic_core import PydanticCustomError, PydanticUndefined
 
 from ullage import plugins
 from ullage.errors import InputError, shown
-from ullage.specs import RadarSpec, Rig, Spec
+from ullage.specs import MOST_BOUNCES, RadarSpec, Rig, Spec
 from ullage.untrusted import compose_yaml, load_yaml, read_yaml, reason
 
 DetectMethod = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean", "track"]
@@ -140,7 +140,7 @@ class SensingSpec(Spec):
     preset: str = Field("x4m05", description="a radar as `ullage list` names them, or a YAML file of one")
     changes: dict[str, Any] = Field({}, description="fields of the radar to change, e.g. {iterations: 32}")
     fidelity: Fidelity = "physical"
-    max_bounces: int = Field(1, ge=1, le=3)
+    max_bounces: int = Field(1, ge=1, le=MOST_BOUNCES)
     rate_hz: float | None = Field(None, gt=0, le=1000, description="frames per second; none: the radar's own fps")
 
     @property

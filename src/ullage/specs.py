@@ -20,6 +20,9 @@ from ullage.errors import InputError, shown
 from ullage.geometry import C0, transform
 from ullage.untrusted import read_yaml
 
+MOST_BOUNCES = 6
+"""Greatest number of reflections between sending and receiving."""
+
 
 def refusal(error: ValidationError, model: type[BaseModel]) -> InputError:
     """Return the first error of pydantic as one line: field, given value, allowed values."""

@@ -172,7 +172,7 @@ def test_a_sample_that_cannot_be_made_is_a_row_with_its_reason(tmp_path: Path) -
         ("room", {"n": 0}, "n is 0 .*1 sample or more"),
         ("room", {"n": -1}, "n is -1"),
         ("room", {"frames": 1}, "1 frames .*2 to 4096"),
-        ("room", {"bounces": (4,)}, r"bounces are \(4,\) .*1 to 3"),
+        ("room", {"bounces": (7,)}, r"bounces are \(7,\) .*1 to 6"),
         ("room", {"bounces": ()}, "bounces are"),
         ("room", {"seed": -1}, "seed is -1"),
     ],

@@ -126,16 +126,18 @@ def test_the_path_over_images_is_the_straight_line_unfolded(seed):
     lit = rng.uniform(0.2, 2.0, 3)
     first = origins[0] * [-1, 1, 1]
     last = [6, 0, 0] + first * [-1, 1, 1]
-    out = np.empty((2, 5, 3))
-    beams = bounces.ImagePaths(np.stack([last, first]), np.stack([first, first]), np.array([[0, 1], [0, -1]]))
-    bounces.legs(beams, normals, offsets, origins, np.array([0, 1]), np.stack([lit, lit]), out)
-    assert out[:, [0, 3, 4]] == pytest.approx(np.stack([np.stack([origins[0], lit, origins[1]])] * 2))
-    assert out[0, 1, 0] == pytest.approx(0)
-    assert out[0, 2, 0] == pytest.approx(3)
-    assert out[1, 2, 0] == pytest.approx(0)
-    assert out[1, 1] == pytest.approx(origins[0])
-    for path, image in zip(out, (last, first), strict=True):
-        length = np.linalg.norm(np.diff(path[:4], axis=0), axis=1).sum()
+    images = [first, last, last * [-1, 1, 1]]  # over the wall at 0, then that at 3, then that at 0 again
+    chains = np.array([[0, 1, 0], [0, 1, -1], [0, -1, -1]])
+    out = np.empty((3, 6, 3))
+    bounces.legs(bounces.ImagePaths(np.stack([images] * 3), chains), normals, offsets, origins, np.arange(3),
+                 np.stack([lit] * 3), out)  # fmt: skip
+    assert out[:, [0, 4, 5]] == pytest.approx(np.stack([np.stack([origins[0], lit, origins[1]])] * 3))
+    assert out[0, 1:4, 0] == pytest.approx([0, 3, 0])
+    assert out[1, 2:4, 0] == pytest.approx([0, 3])
+    assert out[2, 3, 0] == pytest.approx(0)
+    for path, image, empty in zip(out, images[::-1], range(3), strict=True):
+        assert path[1 : 1 + empty] == pytest.approx(np.stack([origins[0]] * empty) if empty else np.zeros((0, 3)))
+        length = np.linalg.norm(np.diff(path[:5], axis=0), axis=1).sum()
         assert length == pytest.approx(np.linalg.norm(lit - image))
 
 

@@ -72,7 +72,9 @@ def furnished(seed):
     return ul.Scene.union(things), ul.Trajectory.stationary(spot, yaw_deg=rng.uniform(0, 360))
 
 
-@pytest.mark.parametrize(("seed", "bounces", "apart"), [(1, 1, 0.0), (2, 2, 0.6), (3, 3, 0.0), (4, 3, 0.08)])
+@pytest.mark.parametrize(
+    ("seed", "bounces", "apart"), [(1, 1, 0.0), (2, 2, 0.6), (3, 3, 0.0), (4, 3, 0.08), (5, 6, 0.08)]
+)
 def test_all_contributions_add_up_to_the_frame(seed, bounces, apart):
     scene, here = furnished(seed)
     spec = ul.RadarSpec.preset("x4m05", noise=None, antenna_offset_m=apart)

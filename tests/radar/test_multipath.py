@@ -143,3 +143,24 @@ def square_trihedral(edge, away):
     vertices = apex + np.array([0 * a, a, b, c, a + b, b + c, c + a])
     faces = np.array([[0, 1, 4], [0, 4, 2], [0, 2, 5], [0, 5, 3], [0, 3, 6], [0, 6, 1]])
     return Scene(vertices, faces, np.zeros(6, np.int32), shape.objects)
+
+
+def test_between_two_plates_each_order_is_the_mirror_at_its_image():
+    """Exact for endless plates: odd orders have an image on either side, even ones the same image twice."""
+    radar = ul.RadarSpec.preset("x4m05", noise=None, antenna={"kind": "isotropic"})
+    apart, place = 1.3, 0.5
+    vertices, faces = shapes.box((0.1, 12, 12))
+    plates = [
+        Scene.of_mesh(vertices + np.array([x, 0, 0]), faces, name="plate", material="pec")
+        for x in (-0.05, apart + 0.05)
+    ]
+    frame = abs(
+        ul.simulate(Scene.union(plates), ul.Trajectory.stationary((place, 0.1, 0.2)), radar, max_bounces=6).samples[0]
+    )
+    orders = {1: (place, apart - place), 2: (apart,), 3: (place + apart, 2 * apart - place), 4: (2 * apart,),
+              5: (place + 2 * apart, 3 * apart - place), 6: (3 * apart,)}  # fmt: skip
+    for order, ranges in orders.items():
+        for range_m in ranges:
+            at = abs(radar.range_m - range_m).argmin()
+            want = radar.wavelength_m / (8 * np.pi * range_m) * (2 if order % 2 == 0 else 1)
+            assert 20 * np.log10(frame[at - 3 : at + 4].max() / want) == pytest.approx(0, abs=0.7)

@@ -41,7 +41,7 @@ def test_paths_are_all_orders_of_the_faces_that_look_largest(bounces, most):
         assert set(mine) == want
 
 
-@pytest.mark.parametrize("bounces", [2, 3])
+@pytest.mark.parametrize("bounces", [2, 3, 4, 5])
 def test_where_both_antennas_are_in_one_place_a_path_and_its_reverse_are_one_twice(bounces):
     together, apart = (found(bounces, offset_m=offset)[0] for offset in (0.0, 1e-9))
     single = dict(zip(legs_of(together), together.weights, strict=True))
@@ -64,7 +64,7 @@ def test_every_image_is_the_antenna_mirrored_in_the_faces_of_its_leg():
     assert paths.ends == pytest.approx(paths.images[:, :, -1])
 
 
-@pytest.mark.parametrize("bounces", [2, 3])
+@pytest.mark.parametrize("bounces", [2, 3, 5])
 def test_the_objects_on_a_path_are_those_of_its_faces_in_the_order_that_the_wave_meets_them(bounces):
     paths, context = found(bounces, offset_m=0.3)
     owners = context.world.still.planar.object_ids

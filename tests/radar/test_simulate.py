@@ -113,7 +113,7 @@ def test_rf_output_of_both_models():
     ("changes", "words"),
     [
         ({"fidelity": "optical"}, "no fidelity 'optical' .allowed: physical, thesis."),
-        ({"max_bounces": 4}, "max_bounces is 4 .*1 to 3"),
+        ({"max_bounces": 7}, "max_bounces is 7 .*1 to 6"),
         ({"max_bounces": 1.0}, "max_bounces is 1.0"),
         ({"seed": -1}, "seed is -1"),
         ({"scene": "room.sdf"}, "scene is a str .allowed: a Scene"),

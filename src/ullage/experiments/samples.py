@@ -23,7 +23,7 @@ from ullage.flight.navigation import navigate
 from ullage.processing.truth import in_sight
 from ullage.radar.explain import explain
 from ullage.radar.simulate import simulate
-from ullage.specs import NoiseSpec, RadarSpec, Rig
+from ullage.specs import MOST_BOUNCES, NoiseSpec, RadarSpec, Rig
 from ullage.world.scene import Scene
 from ullage.world.section import section, wire_section
 from ullage.worlds import KINDS, TESTING, TUNING, flight, random, rig
@@ -59,8 +59,8 @@ class SampleSpec:
     def __post_init__(self) -> None:
         if not 2 <= self.frames <= 4096:
             raise InputError(f"{self.frames} frames", where="dataset", allowed="2 to 4096 frames")
-        if not self.bounces or not set(self.bounces) <= {1, 2, 3}:
-            raise InputError(f"bounces are {self.bounces}", where="dataset", allowed="1 to 3 bounces")
+        if not self.bounces or not set(self.bounces) <= set(range(1, MOST_BOUNCES + 1)):
+            raise InputError(f"bounces are {self.bounces}", where="dataset", allowed=f"1 to {MOST_BOUNCES} bounces")
         if self.seed < 0:
             raise InputError(f"seed is {self.seed}", where="dataset", allowed="a seed of 0 or more")
 

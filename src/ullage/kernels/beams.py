@@ -40,8 +40,8 @@ class EndFaces(NamedTuple):
 class BeamRows(NamedTuple):
     """Beams (b) as `trace` writes them, with m edges in all."""
 
-    apexes: Floats  # (b, 3) the transmitter's last image [m]
-    chains: Longs  # (b, 2) convex mirrors, -1 for none
+    images: Floats  # (b, d, 3) of the transmitter over the first mirror, the first two and so on [m]
+    chains: Longs  # (b, d) convex mirrors, -1 for none
     ends_on: Longs  # (b) face on which each ends
     first: Ints  # (b + 1) first edge of each
     edges: Floats  # (m, 2, 3) outlines of the lit parts [m]
@@ -50,27 +50,19 @@ class BeamRows(NamedTuple):
 class BeamScratch(NamedTuple):
     """Scratch of `trace`."""
 
-    one: Floats  # (3) image over the first mirror [m]
-    two: Floats  # (3) image over both mirrors [m]
-    planes1: Floats  # (MOST + 2, 4) of the beam over the first mirror
-    planes2: Floats  # (MOST + 2, 4) of the beam over both
+    images: Floats  # (d, 3) over the first mirror, the first two and so on [m]
+    planes: Floats  # (d, MOST + 2, 4) that bound the beam over so many mirrors
+    made: Longs  # (d) how many planes
+    chain: Longs  # (d) convex mirrors
+    next: Longs  # (d) place of the mirror to try next
     outlines: Floats  # (4, MOST, 3) outlines while they are clipped [m]
     counts: Longs  # (2) beams and edges so far
 
 
-class _Beam(NamedTuple):
-    """One beam from an image of the transmitter."""
-
-    apex: Floats  # (3) the image [m]
-    planes: Floats  # (made or more, 4) that bound it
-    made: int
-    over: tuple[np.int64, np.int64]  # convex mirrors, -1 for none
-    skip: np.int64  # face of the last mirror
-
-
-def scratch() -> BeamScratch:
-    """Allocate the scratch of `trace`."""
-    return BeamScratch(np.empty(3), np.empty(3), np.empty((MOST + 2, 4)), np.empty((MOST + 2, 4)),
+def scratch(mirrors: int) -> BeamScratch:
+    """Allocate the scratch of `trace` over so many mirrors."""
+    made, chain, following = np.empty((3, mirrors), np.int64)
+    return BeamScratch(np.empty((mirrors, 3)), np.empty((mirrors, MOST + 2, 4)), made, chain, following,
                        np.empty((4, MOST, 3)), np.empty(2, np.int64))  # fmt: skip
 
 
@@ -181,27 +173,31 @@ def _emit(target: int, planes: Floats, made: int, faces: EndFaces, outlines: Flo
 
 
 @core(nogil=True, error_model="numpy")
-def _ends(beam: _Beam, receiver: Floats, gate: float, faces: EndFaces, out: BeamRows, scratch: BeamScratch) -> None:
-    """Write the parts of a beam that light each of the faces on which beams may end.
+def _ends(
+    last: int, skip: int, receiver: Floats, gate: float, faces: EndFaces, out: BeamRows, scratch: BeamScratch
+) -> None:
+    """Write the parts of the beam over the mirrors up to `last` that light each of the faces on which beams may end.
 
     Args:
-        beam: `_Beam`.
+        last: place of the last mirror in the chain.
+        skip: its face.
         receiver: (3) [m].
         gate, faces, out, scratch: as in `trace`.
     """
-    at = scratch.counts
+    at, planes, made = scratch.counts, scratch.planes[last], scratch.made[last]
     for t in faces.targets:
-        if t == beam.skip:
+        if t == skip:
             continue
-        if not _reached(faces.spheres, t, beam.planes, beam.made, beam.apex, receiver, gate):
+        if not _reached(faces.spheres, t, planes, made, scratch.images[last], receiver, gate):
             continue
-        end = _emit(t, beam.planes, beam.made, faces, scratch.outlines, out.edges, at[1])
+        end = _emit(t, planes, made, faces, scratch.outlines, out.edges, at[1])
         if end == at[1]:
             continue
         if at[0] < len(out.ends_on) and end <= len(out.edges):
-            for k in range(3):
-                out.apexes[at[0], k] = beam.apex[k]
-            out.chains[at[0], 0], out.chains[at[0], 1] = beam.over
+            for step in range(out.chains.shape[1]):
+                out.chains[at[0], step] = scratch.chain[step] if step <= last else NONE
+                for k in range(3):
+                    out.images[at[0], step, k] = scratch.images[min(step, last), k]
             out.ends_on[at[0]], out.first[at[0] + 1] = t, end
         at[0], at[1] = at[0] + 1, end
 
@@ -216,11 +212,13 @@ def trace(
     out: BeamRows,
     scratch: BeamScratch,
 ) -> tuple[int, int]:
-    """Trace every beam of two or three bounces: over one or two mirrors, then on the face where it ends.
+    """Trace every beam of two to `most` bounces: over the mirrors, then on the face where it ends.
+
+    A beam is clipped by each mirror; what is left of the next mirror in it goes on [FunkhouserEtAl1998].
 
     Args:
         origins: (2, 3) transmitter and receiver [m].
-        most: bounces, 2 or 3.
+        most: bounces.
         gate: largest mean range [m].
         mirrors: `ConvexMirrors`.
         faces: `EndFaces`.
@@ -230,33 +228,39 @@ def trace(
     Returns:
         How many beams and edges there are; only those that fit are written.
     """
-    one, two, planes1, planes2, clipped, at = scratch
+    images, planes, made, chain, following, clipped, at = scratch
     normals, offsets, sizes, flat_of = faces.normals, faces.offsets, mirrors.sizes, mirrors.flat_of
-    at[0], at[1] = 0, 0
+    at[0], at[1], following[0] = 0, 0, 0
     out.first[0] = 0
-    for a in mirrors.chosen:
-        p = np.int64(flat_of[a])
-        _image(origins[0], normals[p], offsets[p], one)
-        for i in range(sizes[a]):
+    level = 0
+    while level >= 0:
+        if following[level] == len(mirrors.chosen):
+            level -= 1
+            continue
+        a = mirrors.chosen[following[level]]
+        following[level] += 1
+        p, count, lit = np.int64(flat_of[a]), np.int64(sizes[a]), LIT
+        source = origins[0]
+        if level > 0:
+            source = images[level - 1]
+            if p == flat_of[chain[level - 1]]:
+                continue
+            if not _reached(faces.spheres, p, planes[level - 1], made[level - 1], source, source, gate):
+                continue
+        for i in range(count):
             for k in range(3):
                 clipped[2, i, k] = mirrors.outlines[a, i, k]
-        made = _walls(one, clipped, LIT, np.int64(sizes[a]), normals, offsets, p, planes1)
-        _ends(_Beam(one, planes1, made, (a, NONE), p), origins[1], gate, faces, out, scratch)
-        for b in mirrors.chosen:
-            q = np.int64(flat_of[b])
-            if most < 3 or q == p:
-                continue
-            if not _reached(faces.spheres, q, planes1, made, one, one, gate):
-                continue
-            for i in range(sizes[b]):
-                for k in range(3):
-                    clipped[2, i, k] = mirrors.outlines[b, i, k]
-            count, lit = _clipped(clipped, LIT, np.int64(sizes[b]), planes1, made)
+        if level > 0:
+            count, lit = _clipped(clipped, LIT, count, planes[level - 1], made[level - 1])
             if count < 3:
                 continue
-            _image(one, normals[q], offsets[q], two)
-            made2 = _walls(two, clipped, lit, count, normals, offsets, q, planes2)
-            _ends(_Beam(two, planes2, made2, (a, b), q), origins[1], gate, faces, out, scratch)
+        _image(source, normals[p], offsets[p], images[level])
+        chain[level] = a
+        made[level] = _walls(images[level], clipped, lit, count, normals, offsets, p, planes[level])
+        _ends(level, p, origins[1], gate, faces, out, scratch)
+        if level + 2 < most:
+            level += 1
+            following[level] = 0
     return at[0], at[1]
 
 

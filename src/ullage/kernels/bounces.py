@@ -25,9 +25,8 @@ class Mirrors(NamedTuple):
 class ImagePaths(NamedTuple):
     """Mirror images of the transmitter, one row for each beam (b)."""
 
-    images: Floats  # (b, 3) its last image [m]
-    firsts: Floats  # (b, 3) its first image [m]
-    chains: Longs  # (b, 2) faces that mirror, -1 for none
+    images: Floats  # (b, d, 3) over the first mirror, the first two and so on [m]
+    chains: Longs  # (b, d) faces that mirror, -1 for none
 
 
 class Orientations(NamedTuple):
@@ -42,6 +41,27 @@ class ReflectScratch(NamedTuple):
 
     units: Floats  # (3, 3)
     field: Complexes  # (3)
+
+
+@core(nogil=True, error_model="numpy", forceinline=True)
+def many(chain: Longs) -> int:
+    """Count the mirrors of a chain, which ends at its first -1."""
+    count = 0
+    while count < len(chain) and chain[count] >= 0:
+        count += 1
+    return count
+
+
+@core(nogil=True, error_model="numpy", forceinline=True)
+def first_leg(path: Floats) -> int:
+    """Find the corner (of d) from which a path leaves the transmitter, which fills the places of absent mirrors."""
+    first = 0
+    while first + 4 < len(path):
+        for k in range(3):
+            if path[first + 1, k] != path[first, k]:
+                return first
+        first += 1
+    return first
 
 
 @lean(nogil=True, error_model="numpy")
@@ -108,7 +128,9 @@ def _cross(image: Floats, target: Floats, normal: Floats, offset: float, out: Fl
 def legs(
     beams: ImagePaths, normals: Floats, offsets: Floats, origins: Floats, rows: Longs, lit: Floats, out: Floats
 ) -> None:
-    """Find the corners (n, 5, 3) of each path from transmitter to receiver; with one mirror the first comes twice.
+    """Find the corners (n, d + 3, 3) of each path from transmitter to receiver.
+
+    With fewer than d mirrors the first corner comes several times.
 
     Args:
         beams: `ImagePaths`.
@@ -118,36 +140,27 @@ def legs(
         lit: (n, 3) point on the face at the end of each [m].
         out: gets the corners [m].
     """
-    images, firsts, chains = beams
+    images, chains = beams
+    most = chains.shape[1]
     for i in range(len(lit)):
-        beam = rows[i]
+        beam, count = rows[i], many(chains[rows[i]])
         for k in range(3):
-            out[i, 0, k], out[i, 1, k], out[i, 3, k], out[i, 4, k] = (
-                origins[0, k],
-                origins[0, k],
-                lit[i, k],
-                origins[1, k],
-            )
-        last = chains[beam, 0] if chains[beam, 1] < 0 else chains[beam, 1]
-        _cross(images[beam], lit[i], normals[last], offsets[last], out[i, 2])
-        if chains[beam, 1] >= 0:
-            first = chains[beam, 0]
-            _cross(firsts[beam], out[i, 2], normals[first], offsets[first], out[i, 1])
+            for step in range(most - count + 1):
+                out[i, step, k] = origins[0, k]
+            out[i, most + 1, k], out[i, most + 2, k] = lit[i, k], origins[1, k]
+        for step in range(count - 1, -1, -1):
+            p, corner = chains[beam, step], most - count + 1 + step
+            _cross(images[beam, step], out[i, corner + 1], normals[p], offsets[p], out[i, corner])
 
 
 @lean(nogil=True, error_model="numpy")
 def stretches(paths: Floats, wanted: Floats, starts: Floats, ends: Floats, owner: Longs) -> int:
-    """Write the ends (m, 3) of the legs of paths (n, 5, 3) that are wanted (not 0) and their paths; return m."""
+    """Write the ends (m, 3) of the legs of paths (n, d, 3) that are wanted (not 0) and their paths; return m."""
     count = 0
     for i in range(len(paths)):
         if wanted[i] == 0:
             continue
-        for step in range(4):
-            square = 0.0
-            for k in range(3):
-                square += (paths[i, step + 1, k] - paths[i, step, k]) ** 2
-            if square == 0 and step == 0:  # paths over one mirror have no first leg
-                continue
+        for step in range(first_leg(paths[i]), paths.shape[1] - 1):
             for k in range(3):
                 starts[count, k], ends[count, k] = paths[i, step, k], paths[i, step + 1, k]
             owner[count] = i
@@ -178,33 +191,32 @@ def middles(first: Ints, edges: Floats, out: Floats) -> None:
 def cover(
     paths: Floats, chains: Longs, normals: Floats, widths: Floats, wavelength: float, size: Floats, out: Floats
 ) -> None:
-    """Multiply `out` (b) by the share of a wave that each path's mirrors (b, 2) reflect.
+    """Multiply `out` (b) by the share of a wave that each path's mirrors (b, d) reflect.
 
     A mirror smaller than the Fresnel zone sqrt(lambda d1 d2 / (d1 + d2)) reflects, by Kirchhoff's integral, the area
     it covers over that of the zone's square, side by side; d1 is the path to it, d2 the path from it to the last face.
 
     Args:
-        paths: (b, 5, 3) corners from transmitter to receiver [m].
-        chains: (b, 2) faces that mirror, -1 for none.
+        paths: (b, d + 3, 3) corners from transmitter to receiver [m].
+        chains: (b, d) faces that mirror, -1 for none.
         normals: (p, 3) and widths: (p, 2) of the faces [m].
         wavelength: [m].
-        size: (3) scratch.
+        size: (d + 1) scratch.
         out: (b) multiplied.
     """
+    most = chains.shape[1]
     for i in range(len(paths)):
         total = 0.0
-        for j in range(3):
+        for j in range(most + 1):
             square = 0.0
             for k in range(3):
                 square += (paths[i, j + 1, k] - paths[i, j, k]) ** 2
             size[j] = math.sqrt(square)
             total += size[j]
-        for step in range(2):
-            face = chains[i, step]
-            if face < 0:
-                continue
-            corner = 1 if step == 0 and chains[i, 1] >= 0 else 2
-            before = size[0] if corner == 1 else size[0] + size[1]
+        before, count = 0.0, many(chains[i])
+        for step in range(count):
+            face, corner = chains[i, step], most - count + 1 + step
+            before += size[corner - 1]
             along = 0.0
             for k in range(3):
                 along += normals[face, k] * (paths[i, corner + 1, k] - paths[i, corner, k])
@@ -247,8 +259,8 @@ def reflect(
     """Multiply paths by the effect of all reflections on the transmitted field, as the receiver's polarisation sees it.
 
     Args:
-        paths: (b, 5, 3) corners from transmitter to receiver [m].
-        chains: (b, 2) faces that mirror, -1 for none.
+        paths: (b, d + 3, 3) corners from transmitter to receiver [m].
+        chains: (b, d) faces that mirror, -1 for none.
         ends_on: (b) face at the end.
         mirrors: `Mirrors`.
         antennas: `Orientations` of transmitter and receiver.
@@ -267,25 +279,21 @@ def reflect(
                 imaged.fields[i, side, k] = fields[side, k]
                 for row in range(3):
                     imaged.frames[i, side, row, k] = antennas.frames[side, row, k]
-        for step in range(2):
-            if chains[i, step] >= 0:
-                n = normals[chains[i, step]]
-                for row in range(3):
-                    mirrored(n, imaged.frames[i, 0, row])
-                mirrored(n, imaged.fields[i, 0])
-        double = chains[i, 1] >= 0
-        if unit_to(paths[i, 0], paths[i, 1], unit) <= 1e-9:
-            unit_to(paths[i, 1], paths[i, 2], unit)
+        count = many(chains[i])
+        first = chains.shape[1] - count
+        for step in range(count):
+            n = normals[chains[i, step]]
+            for row in range(3):
+                mirrored(n, imaged.frames[i, 0, row])
+            mirrored(n, imaged.fields[i, 0])
+        unit_to(paths[i, first], paths[i, first + 1], unit)
         field_across(fields[0], unit, start)
         for k in range(3):
             field[k] = start[k]
-        if double:
-            reflect_field(gamma, object_ids[chains[i, 0]], normals[chains[i, 0]], unit, field)
-        face = chains[i, 1] if double else chains[i, 0]
-        unit_to(paths[i, 1], paths[i, 2], unit)
-        reflect_field(gamma, object_ids[face], normals[face], unit, field)
-        unit_to(paths[i, 2], paths[i, 3], unit)
-        reflect_field(gamma, object_ids[ends_on[i]], normals[ends_on[i]], unit, field)
-        unit_to(paths[i, 3], paths[i, 4], unit)
+        for step in range(count + 1):
+            face = chains[i, step] if step < count else ends_on[i]
+            unit_to(paths[i, first + step], paths[i, first + step + 1], unit)
+            reflect_field(gamma, object_ids[face], normals[face], unit, field)
+        unit_to(paths[i, first + count + 1], paths[i, first + count + 2], unit)
         field_across(fields[1], unit, taken)
         factor[i] *= field[0] * taken[0] + field[1] * taken[1] + field[2] * taken[2]

@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
+from ullage.kernels.bounces import first_leg
 from ullage.kernels.facets import Antennas, toward
 from ullage.kernels.loops import core, lean
 
@@ -27,14 +28,10 @@ def _lengths(
 
 @core(nogil=True, error_model="numpy", forceinline=True)
 def _sent(path: Floats, out: Floats) -> None:
-    """Unit vector in which a path (5, 3) leaves the transmitter. Over one mirror its first two corners are the same."""
-    first, gone = 1, 0.0
+    """Unit vector in which a path (d, 3) leaves the transmitter."""
+    first, gone = first_leg(path) + 1, 0.0
     for k in range(3):
-        gone += (path[1, k] - path[0, k]) ** 2
-    if gone == 0:
-        first = 2
-        for k in range(3):
-            gone += (path[2, k] - path[0, k]) ** 2
+        gone += (path[first, k] - path[0, k]) ** 2
     gone = max(math.sqrt(gone), 1e-12)
     for k in range(3):
         out[k] = (path[first, k] - path[0, k]) / gone
@@ -78,7 +75,7 @@ def strengths(
     """Find how strong paths would be if nothing stood in their way and faces had no ends, and the axes of their zones.
 
     Args:
-        paths: (b, 5, 3) corners from transmitter to receiver, the fourth on the face at the end [m].
+        paths: (b, d, 3) corners from transmitter to receiver, the last but one on the face at the end [m].
         ends: `BeamEnds` (b).
         faces: `FacePlanes`.
         factor: (b) complex, what reflections leave; paths where it is 0 are left out.
@@ -94,12 +91,13 @@ def strengths(
         if factor[i] == 0:
             continue
         p = ends.on[i]
-        there, back, straight = _lengths(paths[i, 3], ends.images[i], ends.receiver, faces.normals[p], faces.offsets[p])
+        lit = paths[i, paths.shape[1] - 2]
+        there, back, straight = _lengths(lit, ends.images[i], ends.receiver, faces.normals[p], faces.offsets[p])
         excess[i] = there + back - straight
         _sent(paths[i], sent)
         along, aside = 0.0, 0.0
         for k in range(3):
-            taken[k] = (paths[i, 3, k] - paths[i, 4, k]) / max(back, 1e-12)
+            taken[k] = (lit[k] - ends.receiver[k]) / max(back, 1e-12)
             along -= across[p, 0, k] * taken[k]
             aside -= across[p, 1, k] * taken[k]
         gain = toward(antennas.table, antennas.isotropic, antennas.frames, 0, 0, sent[0], sent[1], sent[2])

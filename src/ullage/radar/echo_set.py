@@ -25,7 +25,7 @@ class EchoSet:
     echo: Complexes  # (m) at the carrier
     delay_s: Floats  # (m)
     again: Again  # lays them once more, each times a factor (m), on other grids (3, g)
-    via: Longs | None = None  # (m, 2) objects that mirror on the way, -1 for none; None: none at all
+    via: Longs | None = None  # (m, d) objects that mirror on the way, -1 for none; None: none at all
     before: Longs | None = None  # (m) how many of them before the object; None: all
     rays: Bools | None = None  # (m) true for a mirror point, false for what its rim adds; None: neither
 

@@ -21,7 +21,7 @@ from ullage.kernels import pulse as pulses
 from ullage.radar.context import RadarContext, antenna_pair, radar_context
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.physical import accumulate, passive, radio
-from ullage.specs import RadarSpec
+from ullage.specs import MOST_BOUNCES, RadarSpec
 from ullage.world.scene import Scene
 
 _CELL_M = 0.11  # echoes of one object within this much range, about half a pulse, are reported as one
@@ -85,7 +85,7 @@ def explain(
         radar: which radar.
         i: number of the frame.
         scene: the world of frames that were not simulated here.
-        max_bounces: 1 to 3; None: as the frames were simulated, else 1.
+        max_bounces: 1 to 6; None: as the frames were simulated, else 1.
         count: how many at most; None: all, whose samples add up to the frame as it is without noise and leakage.
         seed: of the fine structure of rough surfaces; None: as the frames were simulated, else 0.
 
@@ -109,7 +109,7 @@ def explain(
         max_bounces = 1 if made is None else made.max_bounces
     if seed is None:
         seed = 0 if made is None else made.seed
-    checks.whole("max_bounces", max_bounces, "explain", low=1, high=3)
+    checks.whole("max_bounces", max_bounces, "explain", low=1, high=MOST_BOUNCES)
     checks.whole("seed", seed, "explain", low=0)
     if count is not None:
         checks.whole("count", count, "explain", low=0)
@@ -161,7 +161,7 @@ class _Rows:
     echo: Complexes  # (n)
     delay_s: Floats  # (n)
     points: Floats  # (n, 3) [m]
-    chains: Longs  # (n, 3) objects in the order in which the wave meets them, -1 for none
+    chains: Longs  # (n, d) objects in the order in which the wave meets them, -1 for none
     scatterers: Longs  # (n) which of the chain sent the wave back
     rays: Bools  # (n) mirror points
     whole: Bools  # (n) echoes that mean something without those of the same face
@@ -187,11 +187,12 @@ def _rows(echoes: list[EchoSet]) -> _Rows:
     chains, scatterers = [], []
     for part in echoes:
         many = np.arange(len(part.echo))
-        via = np.full((len(many), 2), -1) if part.via is None else part.via
+        via = np.full((len(many), MOST_BOUNCES - 1), -1)
+        if part.via is not None:
+            via[:, : part.via.shape[1]] = part.via
         before = (via >= 0).sum(1) if part.before is None else part.before
-        chain = np.concatenate([via, np.full((len(many), 1), -1)], 1)
-        chain[before == 1, 2] = via[before == 1, 1]
-        chain[before == 0, 1:] = via[before == 0]
+        place = np.arange(MOST_BOUNCES)
+        chain = np.take_along_axis(via, np.minimum(place - (place > before[:, None]), MOST_BOUNCES - 2), 1)
         chain[many, before] = part.object_ids
         chains.append(chain)
         scatterers.append(before)
@@ -199,7 +200,7 @@ def _rows(echoes: list[EchoSet]) -> _Rows:
     at = np.flatnonzero(echo)
     if not len(at):
         none = np.zeros(0, np.int64)
-        return _Rows(none, echo, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3), np.int64), none, none > 0, none > 0)
+        return _Rows(none, echo, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 1), np.int64), none, none > 0, none > 0)
 
     def picked(rows: list[NDArray[Any]]) -> NDArray[Any]:
         return np.asarray(np.concatenate(rows)[at])

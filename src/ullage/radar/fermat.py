@@ -70,7 +70,7 @@ def accumulate_fermat(
     radii = bodies.surfaces.radii
     seen = np.where(gaps.min(0) < context.gate[1] + radii, radii / np.maximum(gaps.max(0), 1e-6), 0.0)
     out: list[EchoSet] = []
-    for bounces in range(2, most + 1):
+    for bounces in range(2, min(most, max(SELECTIONS)) + 1):
         out += _of_order(context, parts, bodies, planar, antennas, bounces, (seen, sizes), grids)
     return out
 

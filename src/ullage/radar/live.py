@@ -28,7 +28,7 @@ class LiveRadars:
         scene: the world.
         radar: one radar (called "radar"), or several on one body.
         fidelity: "physical" or "thesis".
-        max_bounces: 1 to 3.
+        max_bounces: 1 to 6.
         seed: of the noise.
         rate_hz: frames a second of every radar; None: each radar's own fps.
 

@@ -10,16 +10,14 @@ from numpy.typing import NDArray
 
 from ullage.arrays import Complexes, Floats, Ints, Longs
 from ullage.kernels import bounces
-from ullage.radar.facets import PlanarPatches
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beams:
-    """Bundles of paths, each over its one or two mirrors to the lit part of its last face."""
+    """Bundles of paths, each over its mirrors to the lit part of its last face."""
 
-    images: Floats  # (b, 3) the transmitter's last image [m]
-    firsts: Floats  # (b, 3) its first image [m]
-    chains: Longs  # (b, 2) flat faces that mirror, -1 for none
+    over: Floats  # (b, d, 3) images of the transmitter over the first mirror, the first two and so on [m]
+    chains: Longs  # (b, d) flat faces that mirror, -1 for none
     ends_on: Longs  # (b) face at the end
     first: Ints  # (b + 1) first edge of each
     edges: Floats  # (e, 2, 3) outlines of the lit parts [m]
@@ -31,13 +29,12 @@ class Beams:
     @property
     def paths(self) -> bounces.ImagePaths:
         """The transmitter's images, for kernels."""
-        return bounces.ImagePaths(self.images, self.firsts, self.chains)
+        return bounces.ImagePaths(self.over, self.chains)
 
-
-def mirrored(point: Floats, planar: PlanarPatches, faces: Longs) -> Floats:
-    """Images (n, 3) of a point (3) in faces (n)."""
-    n = planar.normals[faces]
-    return np.asarray(point - 2 * (n @ point - planar.offsets[faces])[:, None] * n)
+    @property
+    def images(self) -> Floats:
+        """The transmitter's last images (b, 3) [m]."""
+        return np.ascontiguousarray(self.over[:, -1])
 
 
 def reflected(

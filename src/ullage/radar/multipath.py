@@ -22,7 +22,7 @@ from ullage.kernels.facets import LitFaces, Transmission
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
-from ullage.radar.mirrors import Beams, mirrored
+from ullage.radar.mirrors import Beams
 from ullage.radar.planar import accumulate_outline, cut_outlines
 from ullage.radar.visibility import between
 from ullage.radar.zones import shares, strengths
@@ -46,7 +46,7 @@ def accumulate_bounces(
     sizes: Floats,
     grids: Complexes,
 ) -> list[EchoSet]:
-    """Add the echoes of two and three bounces between flat faces to the delay grids (3, g).
+    """Add the echoes of two to `max_bounces` bounces between flat faces to the delay grids (3, g).
 
     A wave meets the mirrors before the face that is integrated over. Where the antennas are apart, each sends half: by
     reciprocity, the reversed radar gives the waves that meet that face first.
@@ -56,7 +56,7 @@ def accumulate_bounces(
         parts: everything that can hide a path.
         planar: the flat faces (p).
         antennas: the radar.
-        max_bounces: 2 or 3.
+        max_bounces: 2 or more.
         sizes: (p) apparent size of each face.
         grids: delay grids, added to.
     """
@@ -76,7 +76,9 @@ def _reversed(echoes: EchoSet) -> EchoSet:
     """Reverse echoes traced from the receiver: the wave meets the face at the end first, then the mirrors."""
     if echoes.via is None:
         return echoes
-    via = np.where(echoes.via[:, 1:] >= 0, echoes.via[:, ::-1], echoes.via)
+    count = (echoes.via >= 0).sum(1)[:, None]
+    place = np.arange(echoes.via.shape[1])
+    via = np.take_along_axis(echoes.via, np.where(place < count, count - 1 - place, place), 1)
     return replace(echoes, via=via, before=np.zeros(len(via), np.int64))
 
 
@@ -135,26 +137,24 @@ def choose_largest(sizes: Floats, count: int | None = None) -> tuple[Longs, Floa
 
 def trace(planar: PlanarPatches, antennas: AntennaPair, bounces_: int, gate_m: float, chosen: Chosen) -> Beams:
     """Trace all beams of two to `bounces_` bounces within the gate [m]."""
-    rooms = [1024, 8192]
+    rooms, over = [1024, 8192], max(bounces_ - 1, 2)
     mirrors = kernel.ConvexMirrors(chosen.mirrors, planar.mirrors, planar.sizes, planar.flat_of)
     faces = kernel.EndFaces(chosen.targets, planar.normals, planar.offsets, planar.spheres, planar.loop_of,
                             planar.loops, planar.starts)  # fmt: skip
     while True:
-        out = kernel.BeamRows(np.empty((rooms[0], 3)), np.empty((rooms[0], 2), np.int64), np.empty(rooms[0], np.int64),
-                              np.zeros(rooms[0] + 1, np.int32), np.empty((rooms[1], 2, 3)))  # fmt: skip
-        made, used = kernel.trace(antennas.origins, bounces_, gate_m, mirrors, faces, out, kernel.scratch())
+        out = kernel.BeamRows(np.empty((rooms[0], over, 3)), np.empty((rooms[0], over), np.int64),
+                              np.empty(rooms[0], np.int64), np.zeros(rooms[0] + 1, np.int32),
+                              np.empty((rooms[1], 2, 3)))  # fmt: skip
+        made, used = kernel.trace(antennas.origins, bounces_, gate_m, mirrors, faces, out, kernel.scratch(over))
         if made <= rooms[0] and used <= rooms[1]:
             break
         rooms = [int(1.2 * made) + 64, int(1.2 * used) + 512]
     chain, on = out.chains[:made], out.ends_on[:made]
-    weights = chosen.target_weights[on] * chosen.mirror_weights[chain[:, 0]]
-    double = chain[:, 1] >= 0
-    weights[double] *= chosen.mirror_weights[chain[double, 1]]
-    over = np.where(chain >= 0, planar.flat_of[chain], -1).astype(np.int64)
-    curved = planar.smooth.view(np.int8)
-    weights[curved[on] + curved[over[:, 0]] + curved[over[:, 1]] * double == 1] = 0
-    firsts = mirrored(antennas.origins[0], planar, over[:, 0]) if made else np.zeros((0, 3))
-    return Beams(out.apexes[:made], firsts, over, on, out.first[: made + 1], out.edges[:used], weights)
+    there = chain >= 0
+    weights = chosen.target_weights[on] * np.where(there, chosen.mirror_weights[chain], 1.0).prod(1)
+    faces_ = np.where(there, planar.flat_of[chain], -1).astype(np.int64)
+    weights[planar.smooth[on] + (planar.smooth[faces_] & there).sum(1) == 1] = 0
+    return Beams(out.images[:made], faces_, on, out.first[: made + 1], out.edges[:used], weights)
 
 
 def _accumulate(
@@ -174,7 +174,7 @@ def _accumulate(
     bounces.middles(beams.first, beams.edges, middles)
     weights = beams.weights * _both_paths(planar, beams)
     bounces.cover(_through(planar, antennas, beams, middles), beams.chains, planar.normals, planar.widths,
-                  context.spec.wavelength_m, np.empty(3), weights)  # fmt: skip
+                  context.spec.wavelength_m, np.empty(beams.chains.shape[1] + 1), weights)  # fmt: skip
     weights = np.maximum(weights - FAINT, 0)
     which = np.flatnonzero(weights)
     faces = FaceOutlines(spheres, normals, offsets, beams.first, starts, ends)
@@ -225,17 +225,17 @@ def _both_paths(planar: PlanarPatches, beams: Beams) -> Floats:
 
 
 def _through(planar: PlanarPatches, antennas: AntennaPair, beams: Beams, lit: Floats) -> Floats:
-    """Find the corners (b, 5, 3) of each beam's path from transmitter to receiver over a point (b, 3) of its end."""
-    path = np.empty((len(beams), 5, 3))
+    """Find the corners (b, d + 3, 3) of each beam's path from antenna to antenna over a point (b, 3) of its end."""
+    path = np.empty((len(beams), beams.chains.shape[1] + 3, 3))
     bounces.legs(beams.paths, planar.normals, planar.offsets, antennas.origins, np.arange(len(beams)), lit, path)
     return path
 
 
 def clear(parts: list[Surfaces], path: Floats, wanted: Floats) -> Bools:
-    """Find which paths (b, 5, 3) that are wanted (not 0) are free all along."""
+    """Find which paths (b, d, 3) that are wanted (not 0) are free all along."""
     out = wanted != 0
-    starts, ends = np.empty((2, 4 * len(path), 3))
-    owner = np.empty(4 * len(path), np.int64)
+    legs = len(path) * (path.shape[1] - 1)
+    (starts, ends), owner = np.empty((2, legs, 3)), np.empty(legs, np.int64)
     count = bounces.stretches(path, wanted, starts, ends, owner)
     out[owner[:count][~between(parts, starts[:count], ends[:count])]] = False
     return np.asarray(out)
@@ -253,7 +253,7 @@ def image_lengths(context: RadarContext, antennas: AntennaPair, order: int) -> F
     else:
         beams = beams_of(context, planar, antennas, order, apparent_sizes(context, planar, antennas))
         on, first = beams.ends_on, beams.first
-        asked = (beams.chains[:, 1] >= 0) == (order == 3)
+        asked = (beams.chains >= 0).sum(1) == order - 1
         starts, ends = np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])
         origins = _radars(antennas, beams)
     normals, offsets, spheres = planar.normals[on], planar.offsets[on], planar.spheres[on]

@@ -1,7 +1,7 @@
 """Find paths over large flat faces to curved surfaces and wires, and back.
 
-A path is reflected by one or two of the faces of the largest apparent size: before the scatterer, after it, or once
-each. The mirror images of the radar see the scatterer as the radar itself does [AllenBerkley1979]. Where the antennas
+A path is reflected by up to two of the faces of the largest apparent size before the scatterer, and by as many after
+it. The mirror images of the radar see the scatterer as the radar itself does [AllenBerkley1979]. Where the antennas
 stand in one place, a path and its reverse are the same wave twice. All paths of a frame are followed at once. What
 none of their beams meets within the gate is left out first, so that the cost depends on the echoes, not on the size
 of the world.
@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 
@@ -32,7 +33,10 @@ FACES = 3
 """Number of flat faces, those of the largest apparent size, that reflect waves to curved surfaces and wires."""
 PAIRS = 2
 """The same for waves that two of them reflect."""
-_CHAINS: dict[int, tuple[tuple[int, int], ...]] = {2: ((1, 0), (0, 1)), 3: ((1, 1), (2, 0), (0, 2))}
+_CHAINS: dict[int, tuple[tuple[int, int], ...]] = {
+    2: ((1, 0), (0, 1)), 3: ((1, 1), (2, 0), (0, 2)), 4: ((2, 1), (1, 2)), 5: ((2, 2),),
+}  # fmt: skip
+"""Numbers of faces before the scatterer and after it, for each number of bounces."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +44,7 @@ class PathSet:
     """Paths there and back, over none, one or two faces on each leg."""
 
     faces: Longs  # (n, 2, 2) of each leg from its antenna on, -1 for none
-    via: Longs  # (n, 2) objects that mirror along it, as the wave meets them, -1 for none
+    via: Longs  # (n, 4) objects that mirror along it, as the wave meets them, -1 for none
     legs: Longs  # (n, 2) equal legs have one number
     weights: Floats  # (n)
     images: Floats  # (n, 2, 3, 3) each antenna, then its images, the last one again where there are fewer [m]
@@ -68,8 +72,7 @@ class PathSet:
 
     def with_paths(self, echoes: EchoSet, of: Longs) -> EchoSet:
         """Return echoes (m) with the objects that mirror on their paths `of` (m)."""
-        there = self.faces[:, 0] >= 0
-        return replace(echoes, via=self.via[of], before=(there[:, 0].astype(np.int64) + there[:, 1])[of])
+        return replace(echoes, via=self.via[of], before=(self.faces[:, 0] >= 0).sum(1)[of])
 
     def antennas(self, radar: Antennas, of: Longs | None = None) -> Antennas:
         """Return the images of one radar that the ends of all paths, or of some (m), see: one for each path."""
@@ -87,7 +90,8 @@ def paths_of(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair
     """
     sizes = sizes * ~planar.smooth
     first = largest(sizes, FACES)
-    taken = [choose_largest(sizes[first], count) for count in (FACES, PAIRS)[: most - 1]]
+    counts = [FACES if bounces == 2 else PAIRS for bounces in range(2, min(most, max(_CHAINS)) + 1)]
+    taken = [choose_largest(sizes[first], count) for count in counts]
     one = antennas.monostatic
     rows, over, twice, legs = _rows(tuple(len(which) for which, _ in taken), one)
     chosen = np.concatenate([*(first[which] for which, _ in taken), np.array([-1])])
@@ -115,12 +119,12 @@ def largest(sizes: Floats, count: int) -> Longs:
 
 @lru_cache(maxsize=64)
 def _rows(counts: tuple[int, ...], one: bool) -> tuple[Longs, Longs, Floats, Longs]:
-    """List the paths over so many faces for two bounces and for three.
+    """List the paths of two bounces and more over so many faces each.
 
     Faces are places in one list of all these faces, followed by -1 for none.
 
     Returns:
-        The faces (n, 2, 2) of both legs; the faces (n, 2) as the wave meets them; how often each path counts (n); a
+        The faces (n, 2, 2) of both legs; the faces (n, 4) as the wave meets them; how often each path counts (n); a
         number (n, 2) for each leg that differs.
     """
     paths: list[Legs] = []
@@ -130,26 +134,21 @@ def _rows(counts: tuple[int, ...], one: bool) -> tuple[Longs, Longs, Floats, Lon
             if not (one and chains[0] < chains[1]):
                 paths += _picks(range(start, start + count), chains, one)
     rows = [[(*leg, -1, -1)[:2] for leg in legs] for legs in paths]
-    over = [(*there, *back[::-1], -1)[:2] for there, back in paths]
+    over = [(*there, *back[::-1], -1, -1, -1)[:4] for there, back in paths]
     twice = np.array([2.0 if one and there != back else 1.0 for there, back in paths])
     known: dict[tuple[int, tuple[int, ...]], int] = {}
     legs = [
         [known.setdefault((0 if one else side, leg), len(known)) for side, leg in enumerate(path)] for path in paths
     ]
-    return (np.array(rows, np.int64).reshape(-1, 2, 2), np.array(over, np.int64).reshape(-1, 2), twice,
+    return (np.array(rows, np.int64).reshape(-1, 2, 2), np.array(over, np.int64).reshape(-1, 4), twice,
             np.array(legs, np.int64).reshape(-1, 2))  # fmt: skip
 
 
 def _picks(ids: range, chains: tuple[int, int], one: bool) -> Iterator[Legs]:
     """Choose the faces of both legs, `chains` of them on each; in one place no path and its reverse."""
-    if chains == (1, 1):
-        for i, a in enumerate(ids):
-            yield from (((a,), (b,)) for b in (ids[i:] if one else ids))
-        return
-    long = max(chains)
-    rows = [(a,) for a in ids] if long == 1 else [(a, b) for a in ids for b in ids if a != b]
-    for row in rows:
-        yield (row, ()) if chains[0] else ((), row)
+    there, back = ([leg for leg in product(ids, repeat=count) if len(set(leg)) == count] for count in chains)
+    for i, leg in enumerate(there):
+        yield from ((leg, other) for other in (back[i:] if one and chains[0] == chains[1] else back))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

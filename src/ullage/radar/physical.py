@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage import checks
 from ullage.arrays import Bools, Complexes, Floats, Singles
 from ullage.data import Trajectory
-from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels import pulse as pulses
 from ullage.kernels import wires as string
@@ -52,7 +52,7 @@ from ullage.radar.wall_bodies import accumulate_wall_bodies
 from ullage.radar.wall_bounces import accumulate_walls
 from ullage.radar.wire_bounces import accumulate_wire_bounces
 from ullage.radar.wires import placed
-from ullage.specs import RadarSpec
+from ullage.specs import MOST_BOUNCES, RadarSpec
 from ullage.world.scene import Scene
 
 
@@ -63,7 +63,7 @@ def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int 
         scene: what there is.
         path: the sensor's poses, one frame each (x along the boresight).
         spec: the radar.
-        max_bounces: reflections between sending and receiving, 1 to 3.
+        max_bounces: reflections between sending and receiving, 1 to 6.
         seed: of the fine structure of rough surfaces.
 
     Returns:
@@ -72,8 +72,7 @@ def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int 
     Raises:
         InputError: the pulse is wider than the frame, or a material has no data at the carrier.
     """
-    if max_bounces not in (1, 2, 3):
-        raise InputError(f"max_bounces is {max_bounces}", where="echoes", allowed="1, 2 or 3")
+    checks.whole("max_bounces", max_bounces, "echoes", low=1, high=MOST_BOUNCES)
     context = radar_context(scene, spec, seed=seed)
     turns, poses = quat_matrix(path.quat_xyzw), context.world.poses(path.t_ns)
     out = np.zeros((len(path), spec.bins), complex)
@@ -254,7 +253,7 @@ def path_gain_cw(
         pose: the sensor's poses.
         spec: the radar.
         frequency_hz: [Hz].
-        max_bounces: 1 to 3.
+        max_bounces: 1 to 6.
         edges: whether conducting edges are corrected; without, the plain integral of physical optics.
     """
     context = radar_context(scene, _carrier_only(spec, frequency_hz or spec.center_hz), edges=edges)

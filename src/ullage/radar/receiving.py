@@ -10,7 +10,7 @@ from ullage import checks
 from ullage.data import Frames, Samples, SimulatedFrom, Trajectory
 from ullage.errors import InputError
 from ullage.radar.models import echo_model
-from ullage.specs import RadarSpec, Rig
+from ullage.specs import MOST_BOUNCES, RadarSpec, Rig
 from ullage.world.scene import Scene
 
 Fidelity = str
@@ -24,7 +24,7 @@ class Receiving:
         scene: the world.
         radar: one radar (called "radar"), or several on one body.
         fidelity: "physical" or "thesis".
-        max_bounces: 1 to 3.
+        max_bounces: 1 to 6.
         seed: of the noise.
 
     Raises:
@@ -82,5 +82,5 @@ def _check(scene: Scene, radar: RadarSpec | Rig, max_bounces: int, seed: int) ->
         raise InputError(f"scene is a {type(scene).__name__}", where="simulate", allowed="a Scene")
     if not isinstance(radar, RadarSpec | Rig):
         raise InputError(f"radar is a {type(radar).__name__}", where="simulate", allowed="a RadarSpec or Rig")
-    checks.whole("max_bounces", max_bounces, "simulate", low=1, high=3)
+    checks.whole("max_bounces", max_bounces, "simulate", low=1, high=MOST_BOUNCES)
     checks.whole("seed", seed, "simulate", low=0)

@@ -69,7 +69,7 @@ def simulate(
         radar: one radar, or several on one body.
         fidelity: "physical" (coherent echoes), "thesis" (the ray model of 2018), or an echo model that another package
             adds.
-        max_bounces: 1 to 3 reflections between radar and radar; the ray model knows only one.
+        max_bounces: 1 to 6 reflections between radar and radar; the ray model knows only one.
         seed: of the noise; the same seed gives the same bits however the track is cut.
         believed: the body's trajectory as navigation has it, at the same times; it becomes `Frames.poses`.
         progress: called with frames done and frames in all, sensors together.
@@ -107,7 +107,7 @@ def simulate_stream(
         path: the body's true trajectory.
         radar: one radar, or several on one body.
         fidelity: "physical" or "thesis".
-        max_bounces: 1 to 3.
+        max_bounces: 1 to 6.
         seed: of the noise.
         believed: the body's trajectory as navigation has it, at the same times.
         chunk: frames per piece; memory follows it, the numbers do not.

@@ -37,7 +37,7 @@ def warm_up(fidelity: str, max_bounces: int, scene: Scene) -> None:
 
     Args:
         fidelity: of the radar.
-        max_bounces: 1 to 3.
+        max_bounces: 1 to 6.
         scene: the world.
     """
     if compiled(radar_parts(fidelity, max_bounces)):

@@ -74,7 +74,7 @@ def shares(
     strong: Strengths,
     clear: Callable[[Floats, Floats], Bools],
 ) -> Complexes:
-    """What part (b) of the echo of each path (b, 5, 3) is left by what stands in its way.
+    """What part (b) of the echo of each path (b, d, 3) is left by what stands in its way.
 
     Args:
         context: the bench.
@@ -83,11 +83,11 @@ def shares(
         beams: what the paths run in.
         path: corners from transmitter to receiver [m].
         strong: what they would bring; of 0 for those that do not matter.
-        clear: whether paths (n, 5, 3) that are wanted (n), not 0, are free.
+        clear: whether paths (n, d, 3) that are wanted (n), not 0, are free.
     """
 
     def free_paths(of: Longs, points: Floats) -> Bools:
-        out = np.empty((len(of), 5, 3))
+        out = np.empty((len(of), *path.shape[1:]))
         bounces.legs(beams.paths, planar.normals, planar.offsets, antennas.origins, of, points, out)
         return clear(out, np.ones(len(of)))
 
@@ -129,7 +129,7 @@ def _borders(zones: Zones, asked: Floats, free: Bools, clear: Callable[[Longs, F
 def strengths(
     context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, beams: Beams, path: Floats, factor: Complexes
 ) -> Strengths:
-    """How strong paths (b, 5, 3) would be of which reflections leave a factor (b), 0 where it does not matter."""
+    """How strong paths (b, d, 3) would be of which reflections leave a factor (b), 0 where it does not matter."""
     out = Strengths(np.empty(len(path)), np.empty(len(path)), np.empty((len(path), 2, 3)))
     ends = kernel.BeamEnds(beams.images, antennas.origins[1], beams.ends_on)
     faces = kernel.FacePlanes(planar.normals, planar.offsets, planar.across)
@@ -149,7 +149,7 @@ def _strongest(
     level = strong.level * (strong.excess < near_m)
     some = np.argsort(-level)[: 2 * BEST]  # laying out a zone costs more than telling these
     some = some[level[some] > 0]
-    lit, axes, level = path[some, 3], strong.axes[some], level[some]
+    lit, axes, level = path[some, -2], strong.axes[some], level[some]
     rough = np.empty((len(some), RAYS))
     kernel.outline(lit, axes, some, beams.first, beams.edges, _turn(RAYS), LAST, rough)
     counts = np.empty(len(some), complex)
