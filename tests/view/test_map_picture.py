@@ -95,8 +95,10 @@ def test_a_map_without_walls_and_a_single_frame_are_drawn_without_a_warning(tmp_
                 tmp_path / "image.png", ul.Image(grid, np.ones(grid.shape, np.complex64)), title="flat"
             ),
             figures.range_time_figure(
-                tmp_path / "one.png", [("front", np.array([1.7e9]), np.arange(3.0), np.ones((1, 3)))],
-                unit="path_gain", title="one frame by the wall clock",
+                tmp_path / "one.png",
+                [("front", np.array([1.7e9]), np.arange(3.0), np.ones((1, 3)))],
+                unit="path_gain",
+                title="one frame by the wall clock",
             ),
         ]
     assert all(np.ptp(imread(path)) > 0.5 for path in drawn)
