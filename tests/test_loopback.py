@@ -102,9 +102,9 @@ def autopilot() -> Iterator[None]:
 
 
 @contextmanager
-def gazebo() -> Iterator[None]:
+def gazebo(kind: str) -> Iterator[None]:
     pytest.importorskip("zmq", reason="pyzmq is not installed")
-    with closing(ul.sink("gazebo:")):
+    with closing(ul.sink(kind)):
         yield
 
 
@@ -113,7 +113,8 @@ STARTED: dict[str, Callable[[], Any]] = {
     "imc over UDP": lambda: opened(f"imc:?{WORLD}&port=0"),
     "imc over TCP": lambda: opened(f"imc:tcp://127.0.0.1:{free_ports()}?{WORLD}"),
     "mavlink": autopilot,
-    "gazebo": gazebo,
+    "gazebo": lambda: gazebo("gazebo:"),
+    "gazebo classic": lambda: gazebo("gazebo-classic:"),
 }
 
 

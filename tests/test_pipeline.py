@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pstats
 import signal
+import weakref
 from collections.abc import Iterator
 from cProfile import Profile
 from dataclasses import replace
@@ -17,6 +18,8 @@ import ullage as ul
 from ullage.experiments.report_collectors import RangeTime, SampledFrames
 from ullage.experiments.ros2_nodes import MappingOptions, mapping_stages
 from ullage.pipeline import DetectStage, Due, ImageStage, InMemorySource, MapStage
+from ullage.ports.publisher import Publisher
+from ullage.processing.own_echo import OwnEchoFilter
 from ullage.stop_signals import StopFlag, stop_as_ctrl_c
 
 
@@ -199,6 +202,24 @@ def test_what_is_watched_stays_bounded() -> None:
     assert amplitude.shape == (len(t_s), len(range_m))
     assert amplitude.max() == pytest.approx(float(frames.amplitude[: len(t_s) * 8].max()), rel=0.2)
     assert 4 <= len(sampled.frames()["front"]) <= 9
+
+
+def test_what_is_kept_of_a_piece_does_not_keep_the_piece() -> None:
+    frames = rig_frames(32)
+    publisher = Publisher()
+    given = [
+        SampledFrames(most=8).update,
+        OwnEchoFilter(most=8).learn,
+        lambda chunk: publisher.messages(chunk["left"].poses),
+    ]
+    for keep in given:
+        chunk = {name: part[np.arange(32)] for name, part in frames.items()}
+        poses = [part.poses for part in chunk.values() if part.poses is not None]
+        arrays = [weakref.ref(part.samples) for part in chunk.values()]
+        arrays += [weakref.ref(path.position) for path in poses]
+        keep(chunk)
+        del chunk, poses
+        assert [array() is None for array in arrays] == [True] * 4, keep
 
 
 def test_a_threshold_for_detections_does_not_break_the_map() -> None:

@@ -40,7 +40,7 @@ from numba.core.caching import _CacheLocator
 
 ROOT = Path(__file__).parent.parent
 RECORDS = ROOT / ".mutants"
-AREAS = ("kernels", "radar", "processing", "ports")
+AREAS = ("kernels", "radar", "processing", "ports", "world")
 LEFT_OUT = ("Decorator", "ExceptionReplacer", "Variable")  # change how code is compiled or caught, or need arguments
 PLUGIN = ("-p", "tests_by_line", "-p", "no:cacheprovider", "-m", "not slow", "-q")
 

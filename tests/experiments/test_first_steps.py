@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ullage.config import make_scenario
@@ -66,6 +67,18 @@ def test_the_last_run_can_be_taken_up_again(tmp_path: Path, monkeypatch: pytest.
     job = make_run("runs/latest", tasks=("detect",), log=lambda _: None)
     assert execute(job, log=lambda _: None).outcome.frames == len(path)
     assert RunFolder.find("runs/latest").path == job.folder.resolve()
+
+
+def test_options_follow_the_name_of_a_recording(tmp_path: Path) -> None:
+    file = tmp_path / "own.npz"
+    np.savez(file, samples=np.ones((20, 60)), times_s=np.arange(20.0), ranges_m=0.05 * np.arange(60))
+    with pytest.raises(InputError, match="preset= one of x4m05"):
+        make_run(str(file))
+    job = make_run(f"{file}?preset=x4m05-8ghz", tasks=("detect",), out=tmp_path)
+    assert job.scenario.name == "own"
+    assert next(job.source.stream())["radar"].spec.center_hz == 8.748e9
+    with pytest.raises(InputError, match="no such file"):
+        make_run(f"{tmp_path / 'none.npz'}?preset=x4m05")
 
 
 def test_a_run_refused_under_way_says_how_far_it_came(tmp_path: Path) -> None:

@@ -136,7 +136,10 @@ def test_real_samples_of_no_known_radar_ask_for_it(tmp_path: Path) -> None:
     with pytest.raises(ul.InputError, match=r"real samples without center_hz: of which radar\?.*preset= one of x4m05"):
         ul.open(path)
     assert opened(path, preset="x4m05-8ghz").spec.center_hz == 8.748e9
+    assert opened(Path(f"{path}?preset=x4m05-8ghz")).spec.center_hz == 8.748e9
     assert opened(Path(f"{path}?preset=x4m05-8ghz&mount={{yaw_deg: 90}}")).spec.mount.yaw_deg == 90
+    with pytest.raises(ul.InputError, match="yaw"):
+        ul.open(Path(f"{path}?preset=x4m05-8ghz&mount={{yaw: 90}}"))
 
 
 def test_an_unknown_band_is_assumed_and_said_or_given(tmp_path: Path) -> None:

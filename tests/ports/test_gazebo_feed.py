@@ -208,6 +208,14 @@ def test_scans_that_are_none_are_counted(framing, change):
 
 
 @both
+def test_rays_outside_the_limits_of_their_scan_met_nothing(framing):
+    scan = framing.scan(10**9, ranges=[0.05, 0.1, 9.0, 9.01])
+    peer = Notebook(offered(framing.scan_on), framing.poses(10**9, x=1.0), scan)
+    (found,) = (one for one in taken(framing.feed(peer, rays="front"), peer) if isinstance(one, Scan))
+    np.testing.assert_array_equal(found.range_m, [[np.inf, 0.1], [9.0, np.inf]])
+
+
+@both
 @pytest.mark.parametrize("real", [False, True])
 def test_frames_go_back_on_the_topics_of_the_model(framing, real):
     frames, peer = some_frames(3, sensor="left", real=real), Notebook(framing.found, framing.poses(10**9, x=1.0))

@@ -81,6 +81,13 @@ def test_frames_that_end_or_pause_are_missing(frames: dict[str, Frames]) -> None
     assert lines(frames | {"left": frames["left"][pause]}, 1000) == ["left: gives no frames from 1.7 s to 3.5 s"]
 
 
+def test_a_fault_that_comes_again_is_one_line_however_often(frames: dict[str, Frames]) -> None:
+    paused = np.flatnonzero(np.arange(len(PATH)) % 30 < 10)
+    assert lines(frames | {"left": frames["left"][paused]}, 7) == [
+        "left: gives no frames 3 times from 0.5 s to 5.3 s, 3.7 s in all"
+    ]
+
+
 def test_a_short_disturbance_is_no_fault_but_not_sound(frames: dict[str, Frames]) -> None:
     part, monitor = broken(frames["left"], "deaf", BROKEN + 5), HealthMonitor()
     assert np.flatnonzero(~monitor.judge({"left": part})["left"]).tolist() == list(range(BROKEN, BROKEN + 5))

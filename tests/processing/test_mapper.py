@@ -52,6 +52,17 @@ def moved(frames, poses):
     return replace(frames, poses=poses)
 
 
+def test_a_radar_whose_range_ends_sooner_makes_nearly_the_same_map(flight, hall_map):
+    part = flight["left"]
+    short = part.spec.but(bins=part.spec.bins - 40)
+    cut = replace(part, samples=part.samples[:, :-40], range_m=part.range_m[:-40], spec=short)
+    omap = ul.map_occupancy(flight | {"left": cut}, GRID)
+    without = ul.map_occupancy({name: one for name, one in flight.items() if name != "left"}, GRID)
+    here, other, none = (one.occupied for one in (hall_map, omap, without))
+    assert (here != other).sum() < 0.1 * here.sum()
+    assert (here != none).sum() > 0.2 * here.sum()
+
+
 def test_a_hall_is_mapped_far_better_than_by_the_baseline(flight, hall_map):
     assert hall_map.method == "likelihood"
     ours, base = score(hall_map, flight), score(ul.map_occupancy(flight, GRID, method="elfes"), flight)

@@ -84,7 +84,7 @@ def test_a_figure_is_as_wide_as_the_part_of_the_map_that_it_draws(tmp_path: Path
     assert last > 0.9 * len(ink)
 
 
-def test_a_map_without_walls_is_drawn_without_a_warning(tmp_path: Path) -> None:
+def test_a_map_without_walls_and_a_single_frame_are_drawn_without_a_warning(tmp_path: Path) -> None:
     grid = ul.Grid((-1.0, -1.0, 0.0), 0.1, (20, 20))
     omap = ul.OccupancyMap(grid, np.full(grid.shape, -1, np.int8))
     with warnings.catch_warnings():
@@ -93,6 +93,12 @@ def test_a_map_without_walls_is_drawn_without_a_warning(tmp_path: Path) -> None:
             figures.map_figure(tmp_path / "map.png", omap, title="nothing"),
             figures.image_figure(
                 tmp_path / "image.png", ul.Image(grid, np.ones(grid.shape, np.complex64)), title="flat"
+            ),
+            figures.range_time_figure(
+                tmp_path / "one.png",
+                [("front", np.array([1.7e9]), np.arange(3.0), np.ones((1, 3)))],
+                unit="path_gain",
+                title="one frame by the wall clock",
             ),
         ]
     assert all(np.ptp(imread(path)) > 0.5 for path in drawn)

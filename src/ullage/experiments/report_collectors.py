@@ -82,7 +82,8 @@ class SampledFrames:
         for name, part in chunk.items():
             stride, seen = self._stride.setdefault(name, 1), self._seen.get(name, 0)
             kept = self._kept.setdefault(name, [])
-            kept += [part[i : i + 1] for i in range(-seen % stride, len(part), stride)]
+            # a copy each: a view would keep the whole chunk
+            kept += [part[np.array([i])] for i in range(-seen % stride, len(part), stride)]
             self._seen[name] = seen + len(part)
             if len(kept) > self.most:
                 self._kept[name], self._stride[name] = kept[::2], 2 * stride

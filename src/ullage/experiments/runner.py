@@ -272,7 +272,7 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
     faults = job.health.lines()
     job.findings = [*job.findings, *(f"{fault}. Its frames of that time are not in the map." for fault in faults)]
     if faults:
-        out["faults"] = Metric("faults", len(faults))
+        out["faults"] = Metric("faults", sum(one.times for one in job.health.faults()))
     if job.obstacles is not None:
         job.findings = [*job.findings, *job.obstacles.lines()]
         out |= {one.name: one for one in job.obstacles.metrics()}

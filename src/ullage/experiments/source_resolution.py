@@ -92,7 +92,8 @@ def check_target(target: str) -> None:
     live = Address.of(target) is not None and not there
     if target in scenario_names() or is_world(target) or path.suffix in {".yaml", ".yml"} or live:
         return
-    if there and reads(path):
+    file = path if there else Path(target.partition("?")[0])  # options of a file may follow its name
+    if os.path.exists(file) and reads(file):
         return
     from ullage.world.load import KINDS
 

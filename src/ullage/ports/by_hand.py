@@ -24,9 +24,9 @@ from ullage.geometry import quat_matrix
 from ullage.ports import encode
 from ullage.ports import schema as ros
 from ullage.ports.conversions import BODY
-from ullage.ports.cosimulation import BEHIND_S, PIECE_S, UnboundedSource
+from ullage.ports.cosimulation import BEHIND_S, UnboundedSource
 from ullage.ports.imu import ImuNoise
-from ullage.ports.intake import Counters, Inbox, LiveOptions, Log
+from ullage.ports.intake import PIECE_S, Counters, Inbox, LiveOptions, Log
 from ullage.ports.protocol import Passed, Passing
 from ullage.ports.radar_status import RadarStatus
 from ullage.specs import Rig

@@ -23,6 +23,7 @@ from ullage.ports.intake import (
     GAP_NS,
     LATE_NS,
     PATIENCE_S,
+    PIECE_S,
     Clock,
     Counters,
     LiveOptions,
@@ -40,8 +41,6 @@ from ullage.radar.live import LiveRadars
 from ullage.specs import RadarSpec, Rig, Spec
 from ullage.world.scene import Scene
 
-PIECE_S = 0.1
-"""Most that is simulated at once of what waits, so that what follows does not get old meanwhile [s]."""
 BEHIND_S = 1.0
 """Report frames that are later than the newest pose by more than this, on the simulator's clock [s]."""
 

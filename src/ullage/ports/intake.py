@@ -58,6 +58,8 @@ MOST_STEPS = 10
 REPORT_S = 5.0
 """Least time between two reports on the same topic and reason [s]; it doubles with each one up to `RARELY_S`."""
 RARELY_S = 60.0
+PIECE_S = 0.1
+"""Most that is simulated at once of what waits, so that what follows does not get old meanwhile [s]."""
 PATIENCE_S = 5.0
 """Wall time between two log lines of the same kind, and before the first line that nothing comes [s]."""
 

@@ -153,7 +153,7 @@ class PathFlown:
             if last is not None and path.t_ns[row] <= last.t_ns[0]:  # the clock stepped back: a new flight
                 self._points, last, self._step_m = [], None, PATH_STEP_M
             if last is None or np.linalg.norm(path.position[row] - last.position[0]) >= self._step_m:
-                self._points.append(path[row : row + 1])
+                self._points.append(path[np.array([row])])  # a copy: a view would keep the whole piece
         if len(self._points) > PATH_POINTS:
             self._points, self._step_m = self._points[::2], 2 * self._step_m
 

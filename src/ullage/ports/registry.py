@@ -19,7 +19,6 @@ from ullage.ports.guarded import GuardedSource, only_files
 from ullage.ports.live import LISTED, LIVE, Address
 from ullage.ports.protocol import Item, Sink, Source, WholeSource
 from ullage.ports.tracked import open_tracked
-from ullage.specs import MountSpec
 from ullage.untrusted import load_yaml, read_yaml, reading, regular_size
 
 Made = TypeVar("Made")
@@ -93,10 +92,7 @@ def reads(path: Path) -> bool:
 def _written_options(target: str) -> dict[str, Any]:
     """The options after a file's name, `file?key=value&key=value`, as numbers, text or groups."""
     given = Address.of(f"file:{target}")
-    values = {} if given is None else {k: load_yaml(text, where=target) for k, text in given.options.items()}
-    if isinstance(values.get("mount"), dict):
-        values["mount"] = MountSpec(**values["mount"])
-    return values
+    return {} if given is None else {k: load_yaml(text, where=target) for k, text in given.options.items()}
 
 
 def _path_of(target: str | Path, allowed: str) -> Path:

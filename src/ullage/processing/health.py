@@ -8,7 +8,7 @@ has given no sound frame for `LIMIT_S`, whatever the cause. It is sound again wi
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -36,17 +36,28 @@ _QUARTER = {True: 0.7585, False: 0.3186}  # lower quartile of the size of comple
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A time in which a radar gave no sound frame."""
+    """The times in which a radar gave no sound frame for one cause."""
 
     sensor: str
     cause: str
     from_ns: int  # first frame that was not sound, or the last one before they ended
     to_ns: int | None  # next sound frame; None: it lasts
+    times: int = 1
+    lasted_ns: int = 0  # all times together that are over
 
     def line(self, zero_ns: int) -> str:
         """One line for people, with times since `zero_ns` [s]."""
-        begun = f"{self.sensor}: {self.cause} from {(self.from_ns - zero_ns) * 1e-9:.1f} s"
-        return begun if self.to_ns is None else f"{begun} to {(self.to_ns - zero_ns) * 1e-9:.1f} s"
+        often = f" {self.times:,} times" if self.times > 1 else ""
+        begun = f"{self.sensor}: {self.cause}{often} from {(self.from_ns - zero_ns) * 1e-9:.1f} s"
+        if self.to_ns is None:
+            return begun
+        ended = f"{begun} to {(self.to_ns - zero_ns) * 1e-9:.1f} s"
+        return f"{ended}, {self.lasted_ns * 1e-9:.1f} s in all" if often else ended
+
+    def again(self, from_ns: int, to_ns: int | None) -> Fault:
+        """The same with one more time."""
+        lasted_ns = self.lasted_ns + (0 if to_ns is None else to_ns - from_ns)
+        return replace(self, to_ns=to_ns, times=self.times + 1, lasted_ns=lasted_ns)
 
 
 @dataclass(slots=True)
@@ -78,7 +89,7 @@ class HealthMonitor:
 
     limit_s: float = LIMIT_S
     _sensors: dict[str, _Sensor] = field(default_factory=dict)
-    _past: list[Fault] = field(default_factory=list)
+    _past: dict[tuple[str, str], Fault] = field(default_factory=dict)  # by radar and cause
     _latest: tuple[Any, dict[str, Bools]] = (None, {})
 
     def judge(self, chunk: Mapping[str, Frames]) -> dict[str, Bools]:
@@ -124,13 +135,12 @@ class HealthMonitor:
         return max((one.last_ns for one in self._sensors.values()), default=0)
 
     def faults(self) -> list[Fault]:
-        """All times so far in which a radar was faulty, in order."""
-        lasting = [
-            Fault(name, cause, self._begun(one) if one.since_ns is None else one.since_ns, None)
-            for name, one in self._sensors.items()
-            if (cause := self.fault(name))
-        ]
-        return sorted([*self._past, *lasting], key=lambda fault: (fault.from_ns, fault.sensor))
+        """What was wrong so far, one for each radar and cause, in order of their first time."""
+        found = dict(self._past)
+        for name, one in self._sensors.items():
+            if cause := self.fault(name):
+                _note(found, name, cause, self._begun(one) if one.since_ns is None else one.since_ns, None)
+        return sorted(found.values(), key=lambda fault: (fault.from_ns, fault.sensor))
 
     def lines(self) -> list[str]:
         """The same for people, in seconds since the first frame: "left: deaf from 12.4 s"."""
@@ -161,7 +171,7 @@ class HealthMonitor:
         gap_ns = t_ns - one.last_ns
         if gap_ns > self._limit_ns(one) and one.frames > 2:
             if not one.cause:
-                self._past.append(Fault(name, MISSING, one.last_ns, t_ns))
+                _note(self._past, name, MISSING, one.last_ns, t_ns)
         elif one.frames:
             one.period_ns += (gap_ns - one.period_ns) / min(one.frames, KNOWN_FRAMES)
         one.last_ns, one.frames = t_ns, one.frames + 1
@@ -170,8 +180,15 @@ class HealthMonitor:
             one.cause = cause
             return
         if one.since_ns is not None and t_ns - self._begun(one) > self._limit_ns(one):
-            self._past.append(Fault(name, one.cause, one.since_ns, t_ns))
+            _note(self._past, name, one.cause, one.since_ns, t_ns)
         one.sound_ns, one.cause, one.since_ns = t_ns, "", None
+
+
+def _note(faults: dict[tuple[str, str], Fault], name: str, cause: str, from_ns: int, to_ns: int | None) -> None:
+    """Add one time of a fault to those of its radar and cause, so that they do not grow with a long flight."""
+    known = faults.get((name, cause))
+    lasted_ns = 0 if to_ns is None else to_ns - from_ns
+    faults[name, cause] = known.again(from_ns, to_ns) if known else Fault(name, cause, from_ns, to_ns, 1, lasted_ns)
 
 
 def judged(frames: Recording) -> tuple[list[Frames], list[str]]:

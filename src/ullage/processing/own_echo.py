@@ -24,6 +24,7 @@ _PLACE = 0.25  # side of a place in wavelengths: frames of one place count once
 _LEAST_FRAMES = 3  # fewer have no statistics
 _LEAST_PLACES = 8  # fewer places cannot show what moves with the track
 _MOST_FRAMES = 600  # used for one estimate
+_MOST_PLACES = 20_000  # that are known again: 200 m of track
 _ROUNDS, _REFINEMENTS = 12, 2  # of the robust mean; of the gains
 _STEADY = 5.0  # bins whose own echo exceeds its variation by this factor give the gain of a frame
 _SEPARABLE = 0.95  # a wall's mean phasor above which it is not separable from the own echo
@@ -169,7 +170,7 @@ class _Places:
     """One frame of each place of a track; of unknown poses every so-manieth frame."""
 
     frames: list[Frames] = field(default_factory=list)
-    seen: set[tuple[int, ...]] = field(default_factory=set)
+    seen: dict[tuple[int, ...], None] = field(default_factory=dict)  # the last places, in order
     stride: int = 1
     count: int = 0
     used: int = 0
@@ -181,9 +182,11 @@ class _Places:
         for i, place in enumerate(_places_of(part)):
             if place in self.seen:
                 continue
-            self.seen.add(place)
+            self.seen[place] = None
+            if len(self.seen) > _MOST_PLACES:
+                del self.seen[next(iter(self.seen))]
             if self.count % self.stride == 0:
-                self.frames.append(part[i : i + 1])
+                self.frames.append(part[np.array([i])])  # a copy: a view would keep the whole piece
             self.count += 1
         if len(self.frames) > most:
             self.frames, self.stride = self.frames[::2], 2 * self.stride

@@ -251,7 +251,7 @@ def draw_range_time(
     axes: Axes, t_s: Floats, range_m: Floats, amplitude: ArrayLike, *, unit: str, limits: tuple[float, float]
 ) -> Any:
     """Draw amplitudes (n, b) in colour over times (n) [s] and ranges (b) [m]; limits from `level_limits`."""
-    extent = (t_s[0], max(t_s[-1], t_s[0] + 1e-9), range_m[0], range_m[-1])
+    extent = (t_s[0], max(t_s[-1], t_s[0] + 1e-3), range_m[0], range_m[-1])
     low, top = limits
     value = _levels(amplitude, unit).T
     mesh = axes.imshow(value, extent=extent, origin="lower", aspect="auto", vmin=low, vmax=top)

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from imc_bus import LAT, LON
+from imc_bus import LAT, LON, estimated_state
+from imc_peer import Peer
 
 import ullage as ul
 from ullage.ports.imc.codec import Packet, Parser
@@ -65,6 +66,15 @@ def test_radars_are_simulated_along_the_vehicle(tmp_path: Path) -> None:
     assert names["Announce"] >= 1
     assert names["Heartbeat"] >= 2
     assert names["EntityState"] >= 2
+
+
+def test_poses_that_waited_are_simulated_in_short_pieces() -> None:
+    sent = iter([b"".join(estimated_state(1e9 + k / 20, 0.02 * k, 0.0, -1.0, 0.0) for k in range(50))])
+    asked = "world=ntnu-room&fidelity=thesis&rig=single&rate_hz=40&duration_s=2"
+    with Peer(tick=lambda _: next(sent, b"")) as peer, ul.open(f"imc:{peer.place}?{asked}") as source:
+        times = [part.t_ns for chunk in source.stream() for part in chunk.values()]
+    assert max(np.ptp(part) for part in times) <= 0.2e9
+    np.testing.assert_allclose(np.diff(np.concatenate(times)), 0.025e9, atol=2)
 
 
 def test_a_bus_is_given_what_the_radars_saw(tmp_path: Path) -> None:

@@ -17,13 +17,12 @@ from typing import Any, Protocol
 from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.flight.live import Steered, Wish
-from ullage.ports.cosimulation import PIECE_S
 from ullage.ports.drone import Guided
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import NOBODY, Message, Packet, make
 from ullage.ports.imc.geodetic import Pose, path_along, state_of
 from ullage.ports.imc.link import Link
-from ullage.ports.intake import Inbox, Log
+from ullage.ports.intake import PIECE_S, Inbox, Log
 from ullage.ports.ned import SWAP
 from ullage.ports.protocol import Passing
 

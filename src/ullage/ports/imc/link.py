@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
 from typing import Literal
 
 from ullage.ports.imc.codec import NOBODY, Message, Packet, compile_kernels, encode, make, readable
@@ -79,12 +80,17 @@ class Link:
 
     def receive(self, timeout_s: float = 0.25) -> list[Packet]:
         """Return the packets that wait, `AT_ONCE` at most; wait for one until the timeout."""
-        found: list[Packet] = []
-        while len(found) < AT_ONCE and (packet := self.events.get(0.0 if found or self._ending else timeout_s)):
-            found.append(packet)
+        return list(self.arriving(timeout_s))
+
+    def arriving(self, timeout_s: float) -> Iterator[Packet]:
+        """Give the same one by one; what is not taken waits on, and may come to wait too long."""
+        for count in range(AT_ONCE):
+            packet = self.events.get(0.0 if count or self._ending else timeout_s)
+            if packet is None:
+                break
+            yield packet
         if self._error is not None:
             raise self._error
-        return found
 
     @property
     def finished(self) -> bool:

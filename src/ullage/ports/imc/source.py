@@ -19,7 +19,7 @@ from ullage.ports.imc.link import Link, Role, leave, open_link
 from ullage.ports.imc.options import SourceOptions, numbers_of, scene_path
 from ullage.ports.imc.relay import passed
 from ullage.ports.imc.wires import Entity, Identity
-from ullage.ports.intake import Covered, Inbox, Log, warn
+from ullage.ports.intake import PIECE_S, Covered, Inbox, Log, warn
 from ullage.ports.live import Address
 from ullage.ports.protocol import Passing, one_or_all
 from ullage.specs import Rig
@@ -196,19 +196,23 @@ class ImcSource:
             self._track.poses.extend(flown)
             self._vehicle_s.take([pose.t_ns for pose in flown])
             return [flown], bool(flown)
-        packets = self._link.receive(0.25)
         tracks: list[list[Pose]] = [[]]
-        for packet in packets:
+        received = False
+        for packet in self._link.arriving(0.25):
+            received = True
             for found in self._track.take(packet):
                 if found.starts and found.track:
                     tracks.append([])
                 tracks[-1].append(found.item)
                 self._vehicle_s.take(found.t_ns)
             self._pass_on(packet)
+            poses = tracks[-1]
+            if self._radars is not None and poses and (poses[-1].t_ns - poses[0].t_ns) * 1e-9 >= PIECE_S:
+                break  # frames of a longer piece would be late by as long as they take
         track, backseat = self._track, self._backseat
         if backseat is not None and track.poses and track.followed is not None and track.origin is not None:
             backseat.lead(track.followed, track.poses[-1], track.origin)
-        return tracks, bool(packets)
+        return tracks, received
 
     def _pass_on(self, packet: Packet) -> None:
         """Give a packet to the relay, the frame assembler and the backseat."""
