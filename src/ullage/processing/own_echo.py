@@ -148,13 +148,14 @@ class OwnEchoFilter:
 
     def is_due(self, name: str) -> bool:
         """Whether there is no estimate of a sensor yet, or one from far fewer places than are remembered."""
-        return name not in self.found or len(self._kept[name].frames) >= self._growth * self._kept[name].used
+        return name not in self.found or len(self._kept[name]) >= self._growth * self._kept[name].used
 
     def renew(self, name: str) -> None:
         """Estimate the own echo of a sensor from all places that are remembered."""
         kept = self._kept[name]
-        kept.used = len(kept.frames)
-        self.found[name] = own_echo(joined(kept.frames))
+        kept.used = len(kept)
+        kept.pieces = [joined(kept.pieces)]
+        self.found[name] = own_echo(kept.pieces[0])
 
     def clean(self, chunk: Mapping[str, Frames]) -> dict[str, Frames]:
         """Learn from a chunk and remove the own echo from it; the same chunk again costs nothing."""
@@ -168,25 +169,29 @@ class OwnEchoFilter:
 class _Places:
     """One frame of each place of a track; of unknown poses every so-manieth frame."""
 
-    frames: list[Frames] = field(default_factory=list)
+    pieces: list[Frames] = field(default_factory=list)
     seen: set[tuple[int, ...]] = field(default_factory=set)
     stride: int = 1
     count: int = 0
     used: int = 0
 
+    def __len__(self) -> int:
+        return sum(map(len, self.pieces))
+
     def add(self, part: Frames, most: int) -> None:
         if not has_phase(part):
-            self.frames = self.frames or [part[:1]]
+            self.pieces = self.pieces or [part[:1]]
             return
+        new = []
         for i, place in enumerate(_places_of(part)):
-            if place in self.seen:
-                continue
-            self.seen.add(place)
-            if self.count % self.stride == 0:
-                self.frames.append(part[i : i + 1])
-            self.count += 1
-        if len(self.frames) > most:
-            self.frames, self.stride = self.frames[::2], 2 * self.stride
+            if place not in self.seen:
+                self.seen.add(place)
+                new.append(i)
+        if kept := new[-self.count % self.stride :: self.stride]:
+            self.pieces.append(part[np.array(kept)])
+        self.count += len(new)
+        if len(self) > most:
+            self.pieces, self.stride = [joined(self.pieces)[::2]], 2 * self.stride
             self.used = 0
 
 
