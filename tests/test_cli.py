@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -38,24 +36,24 @@ expect: {frames: {min: 100}, recall: {max: 1.0}}
 """
 
 
-def ullage(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "ullage", *words]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, timeout=200)
+def ended(words: tuple[str, ...], cwd: Path) -> int | str | None:
+    """How a command ended, run within this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(cwd)
+        patch.setattr(sys, "argv", ["ullage", *words])
+        try:
+            main()
+        except SystemExit as end:
+            return end.code
+    return 0
 
 
 class Told:
-    """What a command said and how it ended, run within this process."""
+    """What a command said and how it ended."""
 
     def __init__(self, words: tuple[str, ...], cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
         capsys.readouterr()
-        with pytest.MonkeyPatch.context() as patch:
-            patch.chdir(cwd)
-            patch.setattr(sys, "argv", ["ullage", *words])
-            try:
-                main()
-                self.returncode: int | str | None = 0
-            except SystemExit as end:
-                self.returncode = end.code
+        self.returncode = ended(words, cwd)
         self.stdout, self.stderr = capsys.readouterr()
 
 
@@ -65,8 +63,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "room.sdf").write_text(ROOM)
     (folder / "walls.yaml").write_text(PLAN)
     (folder / "walls.fbx").touch()
-    done = ullage("run", "walls.yaml", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    assert not ended(("run", "walls.yaml"), folder)
     return folder
 
 
@@ -145,13 +142,6 @@ def test_a_world_without_shapes_is_refused_in_one_line(tmp_path: Path, capsys: p
     assert not (tmp_path / "runs").exists()
 
 
-def test_the_report_needs_nothing_from_outside(place: Path) -> None:
-    page = (place / "runs" / "latest" / "report.html").read_text()
-    assert page.count("data:image/png;base64") == 4
-    assert not re.search(r"(src|href)=\"(?!data:)", page)
-    assert "Two walls" in page
-
-
 def test_a_run_is_measured_against_its_bounds(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert Told(("measure",), place, capsys).returncode in (0, None)
     broken = Told(("run", "walls.yaml", "-o", "expect.frames={max: 3}", "--do", "detect"), place, capsys)
@@ -164,11 +154,9 @@ def test_a_run_is_measured_against_its_bounds(place: Path, capsys: pytest.Captur
     (place / "runs" / "latest").symlink_to(first.name)
 
 
-@pytest.mark.slow
 def test_a_recording_replays_to_the_same_map(place: Path) -> None:
     grid = ("-o", "map.method=elfes", "-o", "map.margin_m=1")
-    done = ullage("run", "runs/latest/frames.mcap", "--do", "map", *grid, "--out", "replayed", cwd=place)
-    assert done.returncode == 0, done.stderr
+    assert not ended(("run", "runs/latest/frames.mcap", "--do", "map", *grid, "--out", "replayed"), place)
     frames = json.loads((place / "replayed/latest/metrics.json").read_text())["frames"]["value"]
     assert frames == json.loads((place / "runs/latest/metrics.json").read_text())["frames"]["value"]
 
@@ -296,32 +284,11 @@ def test_a_run_that_is_not_there_is_not_answered_with_a_hidden_draft(
     assert told.stderr == "ullage: no run 'nothere' (allowed: a run folder, one of cut-01234567)\n"
 
 
-def test_ctrl_c_leaves_a_whole_run(place: Path) -> None:
-    far = "flight.waypoints=[[-1,-1,1],[1,-1,1],[1,1,1],[-1,1,1],[-1,-1,1],[1,-1,1],[1,1,1],[-1,1,1],[-1,-1,1]]"
-    slow = ("-o", "sensing.rate_hz=400", "-o", far, "-o", "map.step_m=0.02")
-    command = [sys.executable, "-m", "ullage", "run", "walls.yaml", "--out", "cut", *slow]
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
-    process = subprocess.Popen(command, cwd=place, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    signal.signal(signal.SIGINT, before)
-    until = time.monotonic() + 60
-    while time.monotonic() < until:
-        drafts = (place / "cut").glob(".*.draft/frames.mcap")  # `latest` moves when the run is whole
-        if any(recording.stat().st_size > 30_000 for recording in drafts):
-            break
-        time.sleep(0.05)
-    os.kill(process.pid, signal.SIGINT)
-    said, _ = process.communicate(timeout=120)
-    assert process.returncode == 0, said
-    assert "interrupted" in said
-    assert json.loads((place / "cut/latest/provenance.json").read_text())["interrupted"] is True
-    assert (place / "cut/latest/report.html").exists()
-
-
-def test_the_overview_fits_a_screen_and_names_every_family(tmp_path: Path) -> None:
-    told = subprocess.run(
-        [sys.executable, "-m", "ullage", "list"],
-        cwd=tmp_path, capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "80"},
-    ).stdout.splitlines()  # fmt: skip
+def test_the_overview_fits_a_screen_and_names_every_family(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    told = Told(("list",), tmp_path, capsys).stdout.splitlines()
     assert sum(max(-(-len(line) // 80), 1) for line in told) <= 24
     assert max(map(len, told[:10])) <= 80
     names = {line.split()[0].rstrip("*") for line in told if line.startswith(" ")}

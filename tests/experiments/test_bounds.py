@@ -51,7 +51,9 @@ class Ruined:
 @lru_cache(maxsize=1)
 def received(name):
     """A scenario, and what its radars receive: simulated once for all that is done to it."""
-    simulated = prepare(find_scenario(name))
+    scenario = find_scenario(name)
+    judged = {"do": ("detect", "map"), "map": scenario.map.model_copy(update={"every_s": 3600.0})}  # no bound asks more
+    simulated = prepare(scenario.model_copy(update=judged))
     return simulated, list(simulated.stream())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from ullage.config import make_scenario
 from ullage.errors import InputError
 from ullage.experiments.folder import RunFolder
-from ullage.experiments.run import of_scenario
+from ullage.experiments.run import Run, of_scenario
 from ullage.experiments.runner import execute
 from ullage.experiments.simulated import prepare
 from ullage.experiments.source_resolution import make_run
@@ -21,32 +22,28 @@ WALL = """<sdf version="1.9"><world name="w"><model name="wall"><static>true</st
 </world></sdf>"""
 
 
-def test_the_map_holds_a_flight_that_stays_outside_the_world(tmp_path: Path) -> None:
+def job(tmp_path: Path, *do: str, height_m: float = 1.0) -> Run:
+    """A flight past a wall, in a folder of its own."""
     (tmp_path / "wall.sdf").write_text(WALL)
+    (tmp_path / "run").mkdir()
     tree = {
-        "name": "wall", "world": {"file": str(tmp_path / "wall.sdf")}, "do": ["map"], "map": {"method": "elfes"},
-        "flight": {"vehicle": "ideal", "waypoints": [[0, -1, 1], [0, 1, 1]]},
+        "name": "wall", "world": {"file": str(tmp_path / "wall.sdf")}, "do": do, "map": {"method": "elfes"},
+        "flight": {"vehicle": "ideal", "waypoints": [[0, -1, height_m], [0, 1, height_m]]},
         "sensing": {"fidelity": "thesis", "rig": "single", "rate_hz": 5},
     }  # fmt: skip
-    folder = tmp_path / "run"
-    folder.mkdir()
-    report = execute(of_scenario(RunFolder(folder), prepare(make_scenario(tree))), log=lambda _: None)
+    return of_scenario(RunFolder(tmp_path / "run"), prepare(make_scenario(tree)))
+
+
+def test_the_map_holds_a_flight_that_stays_outside_the_world(tmp_path: Path) -> None:
+    report = execute(job(tmp_path, "map"), log=lambda _: None)
     left, right, _, _ = report.outcome.results[0].grid.extent_m
     assert left <= 0
     assert right >= 4.05
 
 
 def test_a_flight_above_all_walls_is_complete_without_scores(tmp_path: Path) -> None:
-    (tmp_path / "wall.sdf").write_text(WALL)
-    tree = {
-        "name": "wall", "world": {"file": str(tmp_path / "wall.sdf")}, "do": ["map"],
-        "flight": {"vehicle": "ideal", "waypoints": [[0, -1, 3], [0, 1, 3]]},
-        "sensing": {"fidelity": "thesis", "rig": "single", "rate_hz": 5},
-    }  # fmt: skip
-    folder = tmp_path / "run"
-    folder.mkdir()
     said: list[str] = []
-    report = execute(of_scenario(RunFolder(folder), prepare(make_scenario(tree))), log=said.append)
+    report = execute(job(tmp_path, "map", height_m=3.0), log=said.append)
     assert "f1" not in report.metrics
     assert "The map has no scores: w: no surface of the scene lies on the grid at z = 3.00 m." in said
     assert "The map has no scores" in (report.folder / "report.html").read_text()
@@ -82,15 +79,6 @@ def test_options_follow_the_name_of_a_recording(tmp_path: Path) -> None:
 
 
 def test_a_run_refused_under_way_says_how_far_it_came(tmp_path: Path) -> None:
-    import json
-
-    (tmp_path / "wall.sdf").write_text(WALL)
-    tree = {
-        "name": "wall", "world": {"file": str(tmp_path / "wall.sdf")}, "do": ["detect"],
-        "flight": {"vehicle": "ideal", "waypoints": [[0, -1, 1], [0, 1, 1]]},
-        "sensing": {"fidelity": "thesis", "rig": "single", "rate_hz": 5},
-    }  # fmt: skip
-
     class Full:
         def __init__(self) -> None:
             self.taken = 0
@@ -102,9 +90,7 @@ def test_a_run_refused_under_way_says_how_far_it_came(tmp_path: Path) -> None:
 
         def close(self) -> None: ...
 
-    folder = tmp_path / "run"
-    folder.mkdir()
     with pytest.raises(InputError, match="no space left"):
-        execute(of_scenario(RunFolder(folder), prepare(make_scenario(tree))), sinks=[Full()], log=lambda _: None)
-    assert json.loads((folder / "metrics.json").read_text())["frames"]["value"] > 0
-    assert "no space left" in json.loads((folder / "provenance.json").read_text())["refused"]
+        execute(job(tmp_path, "detect"), sinks=[Full()], log=lambda _: None)
+    assert json.loads((tmp_path / "run/metrics.json").read_text())["frames"]["value"] > 0
+    assert "no space left" in json.loads((tmp_path / "run/provenance.json").read_text())["refused"]

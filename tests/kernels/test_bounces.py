@@ -84,17 +84,6 @@ def test_between_two_angles_a_coefficient_is_the_straight_line_between_them():
         assert got[0] == pytest.approx(want**2, rel=1e-9)
 
 
-def test_a_path_that_counts_for_nothing_is_left_alone():
-    factor = np.zeros(1, complex)
-    nothing = np.full((1, 5, 3), np.nan)
-    bounces.reflect(
-        nothing, np.array([[0, -1]]), np.array([0]), mirrors(np.eye(3), np.ones((3, 1, 2, 3), complex)),
-        bounces.Orientations(np.stack([np.eye(3)] * 2), np.eye(3)[:2]), factor,
-        bounces.Orientations(np.empty((1, 2, 3, 3)), np.empty((1, 2, 3))), scratch(),
-    )  # fmt: skip
-    assert factor[0] == 0
-
-
 @given(seed=seeds)
 def test_a_mirror_larger_than_the_zone_reflects_all_and_a_small_one_its_area(seed):
     """The zone is sqrt(lambda d1 d2 / (d1 + d2)) across, over the cosine along the plane of incidence."""
@@ -139,18 +128,6 @@ def test_the_path_over_images_is_the_straight_line_unfolded(seed):
         assert path[1 : 1 + empty] == pytest.approx(np.stack([origins[0]] * empty) if empty else np.zeros((0, 3)))
         length = np.linalg.norm(np.diff(path[:5], axis=0), axis=1).sum()
         assert length == pytest.approx(np.linalg.norm(lit - image))
-
-
-@given(seed=seeds)
-def test_stretches_are_the_legs_of_the_paths_that_are_wanted(seed):
-    rng = np.random.default_rng(seed)
-    paths, wanted = rng.normal(size=(6, 5, 3)), rng.integers(0, 2, 6)
-    single = rng.integers(0, 2, 6).astype(bool)
-    paths[single, 1] = paths[single, 0]
-    starts, ends, owner = np.empty((24, 3)), np.empty((24, 3)), np.empty(24, np.int64)
-    count = bounces.stretches(paths, wanted, starts, ends, owner)
-    want = [(i, *paths[i, s], *paths[i, s + 1]) for i in range(6) if wanted[i] for s in range(int(single[i]), 4)]
-    assert np.c_[owner, starts, ends][:count] == pytest.approx(np.array(want).reshape(-1, 7))
 
 
 @given(seed=seeds)

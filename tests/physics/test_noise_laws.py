@@ -63,18 +63,3 @@ def test_a_coarser_dac_step_costs_noise():
     sigma = [frames(RadarSpec(dac_step=s, noise=ONLY)).std() for s in (0, 1, 2)]
     assert sigma[1] / sigma[0] == pytest.approx(np.sqrt(2), rel=0.02)
     assert sigma[2] / sigma[0] == pytest.approx(2, rel=0.02)
-
-
-def test_swept_threshold_averages_the_noise_of_its_steps():
-    """A literal one-bit sampler: thresholds in unit steps, each compared N times with fresh noise.
-
-    Its variance is sigma / sqrt(pi) per count, in DAC steps, while sigma spans several of them; the law of
-    `noise_sigma`, one over the counts and proportional to the step, is this sampler's.
-    """
-    rng = np.random.default_rng(4)
-    sigma = 2.5
-    for counts, step in ((4, 1), (16, 1), (16, 2)):
-        thresholds = np.arange(-40, 40, step)
-        higher = rng.normal(0.3, sigma, (4000, counts, len(thresholds))) > thresholds
-        value = higher.sum((1, 2)) * step / counts
-        assert value.var() == pytest.approx(sigma * step / np.sqrt(np.pi) / counts, rel=0.08)

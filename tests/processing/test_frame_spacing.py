@@ -20,10 +20,13 @@ def flown() -> tuple[ul.Scene, dict[str, ul.Frames]]:
 
 
 MISSED = pytest.mark.xfail(strict=True, reason="precision 0.90 of 0.93 wanted")
-SLOW = [pytest.param(3, marks=(pytest.mark.slow, MISSED)), *(pytest.param(n, marks=pytest.mark.slow) for n in (7, 10))]
+SLOW = [
+    pytest.param(3, marks=(pytest.mark.slow, MISSED)),
+    *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 7, 10)),
+]
 
 
-@pytest.mark.parametrize("stride", [1, 5, *SLOW])  # 1.4 to 14 cm
+@pytest.mark.parametrize("stride", [5, *SLOW])  # 1.4 to 14 cm
 def test_a_room_is_mapped_about_as_well_from_sparse_frames(flown, stride):
     scene, frames = flown
     sparse = {name: part[::stride] for name, part in frames.items()}

@@ -119,17 +119,6 @@ def test_no_vehicle_within_the_limits_enters_the_margin(
     assert car.gap_m < spec.margin_m + 0.1 + 0.1 * room  # and it comes as near as it may
 
 
-def test_a_law_of_the_distance_alone_lets_a_lagging_vehicle_into_the_margin() -> None:
-    """The reason for the prediction: tracking v t + v^2 / (2 a) = d with the same delay and lag overshoots."""
-    spec = GuardSpec(latency_s=0.3, lag_s=0.5)
-    car = Vehicle(4.0, spec.lag_s, spec.braking_m_s2)
-    for _ in range(160):
-        waiting = float(allowed_speed(car.gap_m - spec.margin_m, spec))
-        car.ask(min(waiting, 1.5), 0.2)
-        car.fly(0.1)
-    assert car.gap_m < spec.margin_m - 0.02
-
-
 @pytest.mark.parametrize("wind", [0.0, 3.0])
 def test_the_default_settings_bound_the_multirotor_shipped(wind: float) -> None:
     """It comes to rest from a command of zero within the distance that the law gives it, less one frame at 10 Hz."""

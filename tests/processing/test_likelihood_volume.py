@@ -9,12 +9,10 @@ import pytest
 import ullage as ul
 from ullage.data import Frames, Trajectory
 from ullage.kernels.volume_cells import Box, SpatialViews, find_hidden
-from ullage.processing.likelihood.volume_surfaces import CYLINDER, PLANE, PROJECTORS, transported
 from ullage.processing.occupancy import Mapper
 from ullage.world import shapes
 from ullage.world.scene import Scene
 
-RIG = ul.Rig.preset("thesis-4").sensors
 LOW, HIGH = np.array([-2.0, -1.7, 0.0]), np.array([2.2, 1.9, 2.6])  # of the room
 GRID = ul.Grid.covering([LOW, HIGH], 0.1, dims=3, margin_m=0.5)
 
@@ -172,28 +170,6 @@ def test_a_level_straight_flight_leaves_up_and_down_ambiguous(sign):
     open_z = centres(omap.ambiguous)[:, 2]
     assert (open_z > 1.6).sum() > 10
     assert (open_z < 0.8).sum() > 10
-
-
-def test_states_go_to_other_places_and_back():
-    rng = np.random.default_rng(1)
-    step = rng.normal(size=(40, 3)) * 0.4
-    unit = rng.normal(size=(40, 3))
-    for shape, curvature in ((PLANE, 0.0), (CYLINDER, 0.3)):
-        flat = unit * ([1, 1, 0] if shape == CYLINDER else [1, 1, 1])
-        flat /= np.linalg.norm(flat, axis=1, keepdims=True)
-        state = np.column_stack([np.full(40, 2.0), flat, np.full(40, curvature)])
-        projector = np.tile(PROJECTORS[shape], (40, 1, 1))
-        there = transported(state, projector, step)
-        assert np.allclose(transported(there, projector, -step), state, atol=1e-9)
-
-
-def test_the_range_of_a_cylinder_is_that_to_its_axis_less_its_radius():
-    """A pillar of 0.4 m radius with its axis at (2, 1): curvature 1 / (range + radius)."""
-    at = np.random.default_rng(2).normal(size=(30, 3)) * 0.3
-    far = np.hypot(2.0, 1.0)
-    state = np.tile([far - 0.4, 2 / far, 1 / far, 0.0, 1 / far], (30, 1))
-    got = transported(state, np.tile(PROJECTORS[CYLINDER], (30, 1, 1)), at)
-    assert np.allclose(got[:, 0], np.hypot(2 - at[:, 0], 1 - at[:, 1]) - 0.4, atol=1e-9)
 
 
 def test_pieces_of_any_size_give_the_volume_of_the_whole(room):

@@ -119,25 +119,6 @@ def test_a_scatterer_where_the_vehicle_flew_shows_only_where_it_outweighs_the_fl
     assert with_scatterers(omap, []).percent is omap.percent
 
 
-def test_the_mapper_frees_what_the_vehicle_fills() -> None:
-    position = curved(60)
-    frames = near(rf_frames(position, [], noise=1.0))
-    grid = ul.Grid.covering(np.array([[-2.0, -2, 0], [3, 6, 2]]), 0.1)
-    x, y = np.meshgrid(grid.x_m, grid.y_m)
-    first = np.hypot(x - position[0, 0], y - position[0, 1]) < 0.55
-    for radius, whole in ((0.25, False), (0.6, True)):
-        omap = ul.map_occupancy(frames, grid, remove_own_echo=False, vehicle_radius_m=radius)
-        known = omap.percent[first]
-        assert bool(((known >= 0) & (known <= 5)).all()) == whole
-
-
-@pytest.mark.parametrize("radius", [0.0, -1.0, float("nan"), 11.0])
-def test_no_vehicle_of_impossible_size(radius: float) -> None:
-    frames, grid = clutter(curved(40), seed=0), ul.Grid((-3, -3, 0), 0.1, (90, 90))
-    with pytest.raises(ul.InputError, match=r"vehicle_radius_m is .*above 0, at most 10 m"):
-        ul.map_occupancy(frames, grid, vehicle_radius_m=radius)
-
-
 def test_a_straight_track_takes_the_height_that_is_given() -> None:
     position, place = np.stack([np.zeros(300), np.linspace(0, 4, 300), np.full(300, 1.8)], axis=1), (4.0, 2.0, 0.1)
     frames = rf_frames(position, [np.linalg.norm(position - place, axis=1)])

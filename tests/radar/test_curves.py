@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from radar_worlds import at, db
 
 import ullage as ul
 from studies.validation.oracles import dense_tank
@@ -23,12 +24,6 @@ WAVELENGTH = 299792458 / 7.29e9
 def radar(**changes):
     antenna = {"kind": "isotropic", "polarization": "horizontal"}
     return ul.RadarSpec.preset("x4m05", noise=None, antenna=antenna, **changes)
-
-
-def at(*position, roll_deg=0.0):
-    half = np.deg2rad(roll_deg) / 2
-    pose = ul.Trajectory.stationary(position)
-    return replace(pose, quat_xyzw=np.array([[np.sin(half), 0, 0, np.cos(half)]]))
 
 
 def mesh(vertices, faces, name, material="pec"):
@@ -66,10 +61,6 @@ def order(scene, pose, spec, bounces):
     """What the paths of just so many bounces add, at the carrier."""
     return path_gain_cw(scene, pose, spec, max_bounces=bounces)[0] - path_gain_cw(
         scene, pose, spec, max_bounces=bounces - 1)[0]  # fmt: skip
-
-
-def db(ratio):
-    return 20 * np.log10(abs(ratio))
 
 
 def kinds(scene):

@@ -4,26 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import radar_worlds
+from radar_worlds import body, db
 
 import ullage as ul
 from studies.validation.rows import gain_via, radar
 from ullage.kernels.fermat import CYLINDER, SPHERE, Chains, Limits, Reflectors, may_be_strong
 from ullage.radar.fermat import fermat_paths
 from ullage.radar.prepared import prepare
-from ullage.radar.quadrics import Quadric
 from ullage.radar.reflectors import bodies_of, joined, plane_set, points_of
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
 WAVE = 2 * np.pi * 7.29e9 / 299792458
-
-
-def body(centre, radius, *, ball, axis=(0, 0, 1.0)):
-    up = np.array(axis) / np.linalg.norm(axis)
-    side = np.cross(up, [0.3, 0.5, 0.7])
-    side /= np.linalg.norm(side)
-    return Quadric(np.array(centre, float), np.array([side, np.cross(up, side), up]), radius, -9.0, 9.0, 0.0, 0.05, 0,
-                   is_sphere=ball)  # fmt: skip
 
 
 WALL_Y = -1.2
@@ -47,12 +40,8 @@ def paths_over(start, stop, *things):
 
 
 def onto(one, point):
-    """A point (3) brought to the surface of a body, drums going on for ever, or to the wall."""
-    if one is None:
-        return np.array([point[0], WALL_Y, point[2]])
-    away = point - one.centre
-    along = 0.0 if one.is_sphere else away @ one.axes[2] * one.axes[2]
-    return one.centre + along + one.radius * (away - along) / np.linalg.norm(away - along)
+    """A point (3) brought to the surface of a body, or to the wall."""
+    return np.array([point[0], WALL_Y, point[2]]) if one is None else radar_worlds.onto(one, point)
 
 
 def named(scene, centre, name):
@@ -64,10 +53,6 @@ def two(first, last):
     """A ball or a drum, 0.3 m in radius, at each of two places ahead."""
     made = {"ball": scenes.sphere(0.3, 2.0, edge_m=0.06), "drum": scenes.cylinder(0.3, 1.0, 2.0)}
     return Scene.union([named(made[first], (2, 0.5, 0), "a"), named(made[last], (2.4, -0.6, 0), "b")])
-
-
-def level(ratio):
-    return float(20 * np.log10(abs(ratio)))
 
 
 START, STOP = np.array([0, 0, 0.1]), np.array([0, 0.2, -0.1])
@@ -228,7 +213,7 @@ def test_two_drums_are_their_dense_double_integral(one, other):
     each = slope * lit / np.sqrt(sent[:, None] * size * back * path) * np.exp(-1j * WAVE * path)
     want = 1j * WAVE / (2 * np.pi) * each.sum() * dh * dt
     found = paths_over(np.zeros(3), np.zeros(3), *(body((*c, 0), r, ball=False) for c, r in (one, other)))
-    assert level(found.spreads[0] / want) == pytest.approx(0, abs=1.0)
+    assert db(found.spreads[0] / want) == pytest.approx(0, abs=1.0)
     assert abs(np.angle(found.spreads[0] * np.exp(-1j * WAVE * found.lengths[0]) / want)) < 0.2
 
 
@@ -257,7 +242,7 @@ def test_three_drums_or_one_twice_are_their_dense_triple_integral(drums):
         want += (slope / np.sqrt(legs * path) * np.exp(-1j * WAVE * path)).sum()
     want *= (1j * WAVE / (2 * np.pi)) ** 1.5 * dh * dm * dt
     found = paths_over(np.zeros(3), np.zeros(3), *(body((*c, 0), r, ball=False) for c, r in drums))
-    assert level(found.spreads[0] / want) == pytest.approx(0, abs=1.0)
+    assert db(found.spreads[0] / want) == pytest.approx(0, abs=1.0)
     assert abs(np.angle(found.spreads[0] * np.exp(-1j * WAVE * found.lengths[0]) / want)) < 0.2
 
 
@@ -274,7 +259,7 @@ def test_of_drums_their_ends_leave_what_a_fresnel_zone_has():
     whole, cut = (abs(gain_via(s, pose, spec, "b", ("a",))) for s in (tall, shifted(tall, -0.5)))
     first, last = (body((*c, 0), 0.3, ball=False) for c in ((2, 0.5), (2.4, -0.6)))
     free = 2 * spec.wavelength_m / (4 * np.pi) * paths_over(np.zeros(3), np.zeros(3), first, last).spreads[0]
-    assert level(whole / free) == pytest.approx(0, abs=1.5)
+    assert db(whole / free) == pytest.approx(0, abs=1.5)
     assert cut / free == pytest.approx(0.25, abs=0.05)
 
 

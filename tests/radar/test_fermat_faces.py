@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from radar_worlds import at
 
 import ullage as ul
 from studies.validation.rows import radar
@@ -13,11 +14,6 @@ from ullage.radar.fermat import accumulate_fermat
 from ullage.radar.multipath import apparent_sizes
 from ullage.world import scenes
 from ullage.world.scene import Scene
-
-
-def at(*position, roll_deg=0.0):
-    half = np.deg2rad(roll_deg) / 2
-    return replace(ul.Trajectory.stationary(position), quat_xyzw=np.array([[np.sin(half), 0, 0, np.cos(half)]]))
 
 
 def body(kind, centre, name):

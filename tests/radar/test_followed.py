@@ -1,4 +1,4 @@
-"""What is followed of a frame's paths and rims and what is not: loops against the same over arrays."""
+"""What is followed of a frame's paths and outlines and what is not: loops against the same over arrays."""
 
 import numpy as np
 import pytest
@@ -7,13 +7,11 @@ import ullage as ul
 from ullage.antenna import gain
 from ullage.kernels import lit
 from ullage.kernels import outlines as draw
-from ullage.kernels.edges import FaceOutlines, Outline
-from ullage.radar import curves, multipath, zones
-from ullage.radar.context import radar_context
+from ullage.kernels.edges import Outline
+from ullage.radar import multipath, zones
 from ullage.radar.physical import echoes
 
 RADAR = ul.RadarSpec.preset("x4m05", noise=None)
-SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
 
 
 def room(plate=True):
@@ -29,25 +27,6 @@ def outline(rng, count=40):
     ties = np.where(rng.random(count) < 0.5, rng.integers(0, count, count), -1)
     owner, holders = (rng.integers(0, 5, count).astype(np.int32) for _ in range(2))
     return Outline(pieces, owner, tips, holders, ties.astype(np.int32), np.ones(5))
-
-
-def test_what_counts_is_told_by_what_all_fainter_ones_of_a_pulse_make():
-    """Thousands, most of them too faint by themselves."""
-    rng, context, rest = np.random.default_rng(1), radar_context(room(), RADAR), 2e-6
-    loud, paths = rest * 10 ** rng.uniform(-2.0, -1.3, 4000), rng.uniform(0, 1.0, 4000) ** 3
-    loud[::50] = 0
-    told = curves.audible(context, loud, paths, rest)
-    cells, steps = (paths / (2 * context.pulse.half_m)).astype(int), np.frexp((loud / rest) ** 2)[1]
-    steps[loud == 0] = 1000
-    below = np.zeros(len(loud))
-    for cell, step in {*zip(cells, steps, strict=True)}:
-        mine = cells == cell
-        below[mine & (steps == step)] = (loud[mine & (steps <= step)] ** 2).sum()
-    assert (told == (((below > rest**2) | (loud > rest / curves.MANY)) & (loud > 0))).all()
-    together = told & (loud <= rest / curves.MANY)
-    assert together.mean() > 0.02
-    assert (~told & (loud > 0)).mean() > 0.2
-    assert (curves.audible(context, loud, paths, 0.0) == (loud > 0)).all()
 
 
 def test_an_end_from_which_a_piece_goes_on_is_as_loud_as_either():
@@ -75,34 +54,6 @@ def test_ends_are_seen_where_the_piece_is_that_goes_on_or_by_themselves():
     tied = parted.ties >= 0
     assert (seats[40:][tied] == parted.ties[tied]).all()
     assert (seats[40:][lone] == np.arange(40, count)).all()
-
-
-def test_a_zone_about_a_mirror_point_is_looked_at_where_it_lies_on_the_face():
-    points = np.array([[0.1, 0.5, 0, 4.0, 0, 0, 0, 0, 0]])
-    across, zone = np.array([[[1.0, 0, 0], [0, 1, 0]]]), np.array([[0.0, 0], [1, 0], [-1, 0], [0, 1]])
-    out, faces, within = np.empty((4, 3)), np.empty(4, np.int64), np.empty((1, 4), np.bool_)
-    starts, ends = SQUARE, np.roll(SQUARE, -1, 0)
-    first, normals = np.array([0, 4], np.int32), np.array([[0.0, 0, 1]])
-    square = FaceOutlines(np.zeros((1, 4)), normals, np.zeros(1), first, starts, ends)
-    count = draw.look_about(points, np.array([0]), square, across, zone, 0.04, draw.Spots(out, faces), within)
-    radius = np.sqrt(0.04 * 4.0 / 4)
-    assert within.tolist() == [[True, True, False, True]]
-    assert out[:count] == pytest.approx(points[:, :3] + radius * np.column_stack([zone, np.zeros(4)])[within[0]])
-
-
-def test_paths_are_free_where_all_their_legs_are_and_only_wanted_ones_are_asked():
-    parts = radar_context(room(), RADAR).world.parts(None)
-    a, left, right, behind = [-1.0, 0, 0], [1.0, 1.9, 0.2], [1.0, -1.9, 0.2], [2.8, 0.0, 0.0]  # the plate is before it
-    paths = np.array(
-        [
-            [a, a, left, right, a],
-            [a, left, right, left, a],
-            [a, a, left, behind, a],
-            [a, behind, left, right, a],
-            [a, a, left, right, a],
-        ]
-    )
-    assert multipath.clear(parts, paths, np.array([1.0, 0.3, 1, 1, 0])).tolist() == [True, True, False, False, False]
 
 
 def followed(monkeypatch, scene, place=(0.1, 0.2, 0.1)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from radar_worlds import dished
 
 import ullage as ul
 from ullage.geometry import rpy_quat
@@ -20,22 +21,10 @@ LEAN = np.arcsin((RADIUS - KNUCKLE) / (CROWN - KNUCKLE))
 
 
 def vessel(edge_m: float) -> Scene:
-    """A cylinder, closed at both ends by part of a large ball that goes over into it by part of a torus."""
-    crown = np.linspace(0, LEAN, int(CROWN * LEAN / edge_m) + 2)
-    tube = np.linspace(LEAN, np.pi / 2, int(KNUCKLE * (np.pi / 2 - LEAN) / edge_m) + 3)[1:]
-    sunk = np.sqrt((CROWN - KNUCKLE) ** 2 - (RADIUS - KNUCKLE) ** 2)
-    middle = np.stack([CROWN * np.sin(crown), CROWN * np.cos(crown) - sunk + HALF], 1)
-    bend = np.stack([RADIUS - KNUCKLE + KNUCKLE * np.sin(tube), KNUCKLE * np.cos(tube) + HALF], 1)
-    head = np.concatenate([middle, bend])
-    profile = np.concatenate([head, head[::-1] * [1, -1]])
-    around = int(2 * np.pi * RADIUS / edge_m)
-    turn = np.arange(around) * 2 * np.pi / around
-    rings = profile[:, None, :1] * np.stack([np.cos(turn), np.sin(turn)], -1)
-    points = np.concatenate([rings, np.broadcast_to(profile[:, None, 1:], (len(profile), around, 1))], 2)
-    k, j = np.meshgrid(np.arange(len(profile) - 1), np.arange(around), indexing="ij")
-    a, b = k * around + j, k * around + (j + 1) % around
-    faces = np.concatenate([np.stack([a, a + around, b], -1), np.stack([b, a + around, b + around], -1)])
-    return Scene.of_mesh(points.reshape(-1, 3), faces.reshape(-1, 3), name="vessel", made_of="pec")
+    """A vessel with dished heads."""
+    steps = int(CROWN * LEAN / edge_m) + 2, int(KNUCKLE * (np.pi / 2 - LEAN) / edge_m) + 3
+    mesh = dished(RADIUS, CROWN, KNUCKLE, HALF, steps=steps, around=int(2 * np.pi * RADIUS / edge_m))
+    return Scene.of_mesh(*mesh, name="vessel", made_of="pec")
 
 
 def frames(edge_m: float) -> np.ndarray:

@@ -76,6 +76,22 @@ def test_between_sees_walls_but_not_the_surfaces_at_its_ends():
     np.testing.assert_array_equal(between([room], a, b), [True, False])
 
 
+def test_paths_are_free_where_all_their_legs_are_and_only_wanted_ones_are_asked():
+    plated = ul.scenes.room((6, 4, 3), plate={"width_m": 0.5, "height_m": 0.5, "distance_m": 2.0})
+    parts = radar_context(plated, ul.RadarSpec.preset("x4m05", noise=None)).world.parts(None)
+    a, left, right, behind = [-1.0, 0, 0], [1.0, 1.9, 0.2], [1.0, -1.9, 0.2], [2.8, 0.0, 0.0]  # the plate is before it
+    paths = np.array(
+        [
+            [a, a, left, right, a],
+            [a, left, right, left, a],
+            [a, a, left, behind, a],
+            [a, behind, left, right, a],
+            [a, a, left, right, a],
+        ]
+    )
+    assert multipath.clear(parts, paths, np.array([1.0, 0.3, 1, 1, 0])).tolist() == [True, True, False, False, False]
+
+
 @pytest.mark.parametrize("height", [-0.31, 0.0, 0.42])
 def test_a_face_that_a_beam_only_touches_passes_nothing_on(height):
     """Behind a ridge no wave goes from side to side, and none over the ridge as a mirror of no width."""

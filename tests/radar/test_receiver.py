@@ -18,7 +18,6 @@ from ullage.radar.receiver import (
     fold,
     fold_range_m,
     lattice,
-    noise_floor,
     noise_sigma,
     normalised,
     phase_sigma,
@@ -83,14 +82,6 @@ def test_counts_and_normalised_values_follow_the_drivers_formula():
         assert counted(by_hand, spec) == count
         assert counted(-9.0, spec) == 0
         assert normalised(counted(9.0, spec), spec) == pytest.approx(dac_limit(spec))
-
-
-def test_noise_falls_three_decibels_per_doubling_of_either_setting():
-    sigma = noise_sigma(X4)
-    assert noise_sigma(X4.but(iterations=128)) == pytest.approx(sigma / np.sqrt(2))
-    assert noise_sigma(X4.but(pulses_per_step=4 * 87)) == pytest.approx(sigma / 2)
-    assert noise_sigma(X4.but(noise=None)) == 0
-    assert noise_floor(X4) == pytest.approx(sigma / (5.0 * 0.78))
 
 
 def test_phase_sigma_gives_both_measured_values():

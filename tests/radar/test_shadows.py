@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from radar_worlds import BLACK, sheet
 from scipy.special import fresnel
 
 import ullage as ul
 from ullage.radar.physical import echoes
-from ullage.world import scenes
-from ullage.world.materials import Material
 
 RADAR = ul.RadarSpec.preset("x4m05", noise=None, antenna={"kind": "isotropic"})
 HERE = ul.Trajectory.stationary((0, 0, 0))
 WALL_M = 4.0
-BLACK = Material(name="black", a=1.0)
-"""Opaque, and reflects nothing."""
-
-
-def sheet(corner, u, v, name, material=None):
-    corner, u, v = (np.array(x, float) for x in (corner, u, v))
-    vertices = np.array([corner, corner + u, corner + u + v, corner + v])
-    flat = replace(scenes.plate(1, 1, 1, name=name), vertices=vertices)
-    stuff = flat.objects[0] if material is None else replace(flat.objects[0], material=material)
-    return replace(flat, objects=(stuff,))
 
 
 WALL = sheet((WALL_M, -6, -6), (0, 12, 0), (0, 0, 12), "wall")

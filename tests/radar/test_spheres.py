@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from radar_worlds import dished
 
 import ullage as ul
 from ullage.geometry import C0, rpy_quat
@@ -107,26 +108,8 @@ def test_where_a_head_goes_over_into_its_wall_there_is_no_edge():
     assert found[outline].max() < 3e-3 * found.max()
 
 
-def vessel(radius: float, crown: float, knuckle: float, around: int = 64) -> tuple[np.ndarray, np.ndarray]:
-    """A cylinder 2 m long, closed at both ends by part of a large ball that goes over into it by part of a torus."""
-    lean = np.arcsin((radius - knuckle) / (crown - knuckle))
-    one, other = np.linspace(0, lean, 14), np.linspace(lean, np.pi / 2, 5)[1:]
-    sunk = np.sqrt((crown - knuckle) ** 2 - (radius - knuckle) ** 2)
-    middle = np.stack([crown * np.sin(one), crown * np.cos(one) - sunk + 1], 1)
-    bend = np.stack([radius - knuckle + knuckle * np.sin(other), knuckle * np.cos(other) + 1], 1)
-    head = np.concatenate([middle, bend])
-    profile = np.concatenate([head, head[::-1] * [1, -1]])
-    turn = np.arange(around) * 2 * np.pi / around
-    rings = profile[:, :1] * np.stack([np.cos(turn), np.sin(turn)], -1)[:, None]
-    points = np.concatenate([rings.swapaxes(0, 1), np.broadcast_to(profile[:, 1:, None], (len(profile), around, 1))], 2)
-    k, j = np.meshgrid(np.arange(len(profile) - 1), np.arange(around), indexing="ij")
-    a, b = k * around + j, k * around + (j + 1) % around
-    faces = np.concatenate([np.stack([a, a + around, b], -1), np.stack([b, a + around, b + around], -1)])
-    return points.reshape(-1, 3), faces.reshape(-1, 3)
-
-
 def test_the_crowns_of_dished_heads_are_found_and_the_wall_between_them():
-    world = prepare(Scene.of_mesh(*vessel(1.5, 3.0, 0.3), name="vessel", made_of="pec"))
+    world = prepare(Scene.of_mesh(*dished(1.5, 3.0, 0.3, 1.0, steps=(14, 5)), name="vessel", made_of="pec"))
     outline = 3.0 * np.cos(np.arcsin(1.2 / 2.7))
     assert [sphere.radius for sphere in world.spheres] == pytest.approx([3.0, 3.0])
     assert [sphere.caps[0, 3] for sphere in world.spheres] == pytest.approx([-outline, -outline])

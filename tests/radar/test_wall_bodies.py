@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from radar_worlds import at, body, db, onto
 
 import ullage as ul
 from studies.validation.rows import radar
@@ -11,46 +12,11 @@ from studies.validation.validate import gain_over_wall, tank_and_drum_pulses
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import apparent_sizes
 from ullage.radar.prepared import prepare
-from ullage.radar.quadrics import Quadric
 from ullage.radar.wall_bodies import TO_AND_FRO, WALL_FIRST, accumulate_wall_bodies, lines_over
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
-
-def db(ratio):
-    return float(20 * np.log10(abs(ratio)))
-
-
-def at(*position, roll_deg=0.0):
-    half = np.deg2rad(roll_deg) / 2
-    return replace(ul.Trajectory.stationary(position), quat_xyzw=np.array([[np.sin(half), 0, 0, np.cos(half)]]))
-
-
-def body(centre, radius, *, ball, axis=(0, 0, 1.0), object_id=1):
-    up = np.array(axis) / np.linalg.norm(axis)
-    side = np.cross(up, [0.3, 0.5, 0.7])
-    side /= np.linalg.norm(side)
-    return Quadric(
-        np.array(centre, float),
-        np.array([side, np.cross(up, side), up]),
-        radius,
-        -9.0,
-        9.0,
-        0.0,
-        0.05,
-        object_id,
-        is_sphere=ball,
-    )
-
-
 WALL = replace(body((0, 0, 0), 1.5, ball=False, object_id=0), axes=np.eye(3))
-
-
-def onto(one, point):
-    """A point (3) brought to the surface of a body, drums going on for ever."""
-    away = point - one.centre
-    along = 0.0 if one.is_sphere else away @ one.axes[2] * one.axes[2]
-    return one.centre + along + one.radius * (away - along) / np.linalg.norm(away - along)
 
 
 def tank(thing, height=3.0):
@@ -80,7 +46,7 @@ def total(echoes):
 def test_spread_and_slope_are_those_of_differences_of_the_path(ball, walls):
     """By steps along the line and over the body, which leans; each line's path is the shortest."""
     ends = np.array([[-0.5, 0.2, 0.1], [-0.4, 0.3, -0.2]])
-    thing = body((0.8, 0.1, 0.3), 0.3, ball=ball, axis=(0, 0.2, 1))
+    thing = body((0.8, 0.1, 0.3), 0.3, ball=ball, axis=(0, 0.2, 1), object_id=1)
     found = lines_over(WALL, thing, ends, walls)
     i = int(np.flatnonzero(found.spread)[found.spread.astype(bool).sum() // 3])
     corners, wall_at = found.corners[:, i], walls.index(True)
@@ -218,7 +184,7 @@ def test_lines_along_the_wall_are_as_close_as_a_cubic_between_them_needs(near, w
     counts = []
     for gap in (0.1, 0.2, 0.4, 0.6, 0.9):
         ends = np.array([[-1.5 + (gap if near == "radar" else 1.0), 0.0, 0.1]] * 2)
-        thing = body((1.2 - gap if near == "body" else 0.2, 0.05, 0.1), 0.3, ball=True)
+        thing = body((1.2 - gap if near == "body" else 0.2, 0.05, 0.1), 0.3, ball=True, object_id=1)
         length = lines_over(WALL, thing, ends, walls).length
         even, odd = length[: len(length) // 2 * 2 : 2], length[1::2]
         foretold = (-np.roll(even, 1) + 9 * even + 9 * np.roll(even, -1) - np.roll(even, -2)) / 16

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from radar_worlds import at, db
 from scipy.spatial.transform import Rotation
 
 import ullage as ul
@@ -16,15 +17,6 @@ from ullage.radar.prepared import prepare
 from ullage.radar.quadrics import quadrics_of, smooth_surfaces_of
 from ullage.world import scenes
 from ullage.world.scene import Scene
-
-
-def db(ratio):
-    return float(20 * np.log10(abs(ratio)))
-
-
-def at(*position, roll_deg=0.0):
-    half = np.deg2rad(roll_deg) / 2
-    return replace(ul.Trajectory.stationary(position), quat_xyzw=np.array([[np.sin(half), 0, 0, np.cos(half)]]))
 
 
 def only(scene, kept):

@@ -1,9 +1,8 @@
 """Borders of shadow across the Fresnel zone of a double bounce, against the same wave where the shadow is cut away."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from radar_worlds import BLACK, sheet
 from scipy.special import fresnel
 
 import ullage as ul
@@ -11,22 +10,9 @@ from ullage.kernels import zones as kernel
 from ullage.radar import zones
 from ullage.radar.physical import echoes
 from ullage.world import scenes
-from ullage.world.materials import Material
 
 RADAR = ul.RadarSpec.preset("x4m05", noise=None, antenna={"kind": "isotropic"})
 HERE = ul.Trajectory.stationary((0, 0, 0))
-BLACK = Material(name="black", a=1.0)
-"""Opaque, and reflects nothing."""
-
-
-def sheet(corner, u, v, name, material=None):
-    corner, u, v = (np.array(x, float) for x in (corner, u, v))
-    flat = replace(
-        scenes.plate(1, 1, 1, name=name), vertices=np.array([corner, corner + u, corner + u + v, corner + v])
-    )
-    return (
-        flat if material is None else replace(flat, objects=tuple(replace(o, material=material) for o in flat.objects))
-    )
 
 
 def fold(height, screen_above=None):

@@ -47,11 +47,6 @@ def test_the_memory_is_the_node_s_and_not_that_of_its_parent(recording: Path) ->
     assert cost.import_mb < 400
 
 
-def test_a_finer_map_needs_more_memory(recording: Path, coarse: NodeCost) -> None:
-    fine = measure_node(recording, method="elfes", step_m=0.02, reach_m=25.0)
-    assert fine.peak_mb > coarse.peak_mb + 30
-
-
 def test_a_node_that_fails_says_why(tmp_path: Path) -> None:
     with pytest.raises(UllageError, match=r"the mapping process failed: .*absent\.mcap"):
         measure_node(tmp_path / "absent.mcap", method="elfes")

@@ -35,23 +35,12 @@ def test_the_interpreted_kernel_makes_the_same_map():
     assert (maps[0].percent > 50).any()
 
 
-def test_a_mapper_calls_the_kernel_that_it_is_given():
-    calls = []
-    ElfesMapper(GRID, kernel=lambda *a: calls.append(a)).update(readings(Scene.empty()))
-    assert len(calls) == 3
-
-
 def test_a_reading_without_an_echo_traverses_more_cells():
     near, none = (
         cpu_causes.reading_cost({"front": readings(s)}, GRID) for s in (ul.scenes.plate(2, 2, 2.0), Scene.empty())
     )
     assert none[1] > 1.5 * near[1]
     assert near[0] > 0
-
-
-def test_the_ratio_of_cpu_is_that_over_the_room():
-    found = cpu_causes.over_room({cpu_causes.ROOM: (2.0, 10.0), cpu_causes.HOLD: (5.0, 30.0)})
-    assert found == {cpu_causes.ROOM: 1.0, cpu_causes.HOLD: 2.5}
 
 
 def test_a_change_removes_its_models_and_no_other():

@@ -134,25 +134,24 @@ class MotionMatch:
             return Gains(np.zeros_like(null), np.zeros(len(index), bool), np.zeros((len(both), DIRECTIONS)))
         cos, sin = np.cos(phase), np.sin(phase)
         fit = _DirectionFit(cos[use], sin[use], taper[use])
-        total, change, power = np.empty_like(null), np.zeros(len(index)), []
+        share = np.array([fit.powers(found[:, self.first, self.second][use]) for found in both])
+        small = share.astype(np.float32)
+        models = cos @ small[:, :-1].T + small[:, -1] + 1j * (sin @ small[:, :-1].T)  # (n, pairs, bands)
+        total, change = np.empty_like(null), np.zeros(len(index))
         for band, found in enumerate(both):
-            share = fit.powers(found[:, self.first, self.second][use])
-            small = share.astype(np.float32)
-            pairs = taper * (cos @ small[:-1] + small[-1] + 1j * (sin @ small[:-1]))
-            likely, variance = self._likelihood(pairs, found, band)
+            likely, variance = self._likelihood(taper * models[:, :, band], found, band)
             total[band] = np.logaddexp(likely + np.log(1 - OUTLIER), null[band] + np.log(OUTLIER)) - null[band]
             change = change + variance / len(both)
-            power.append(share[:-1])
         known = inside[index[:, 0]] & ~missing[:, 0]
-        return Gains(np.where(known, total, 0), known & (change > MOVING), np.array(power))
+        return Gains(np.where(known, total, 0), known & (change > MOVING), share[:, :-1])
 
     def _displacements(self, when: Floats, index: Longs) -> tuple[Singles, Floats]:
         """Phases (n, pairs, directions) between frames, and displacements (n, pairs) [m]."""
         place = np.stack([np.interp(when, self.known_s, self.position[:, k]) for k in range(3)], axis=1)
         near = np.clip(np.searchsorted(self.known_s, when[index[:, 0]]), 0, len(self.known_s) - 1)
         moved = place[index[:, self.first]] - place[index[:, self.second]]
-        moved = np.einsum("nkj,npk->npj", self.rotation[near], moved)
-        phase = (moved @ self.directions.T).astype(np.float32) * np.float32(self.per_m)
+        moved = moved @ self.rotation[near]
+        phase = moved.astype(np.float32) @ (self.per_m * self.directions.T).astype(np.float32)
         return phase, np.linalg.norm(moved, axis=2)
 
     def scan(self, offsets: Floats, *, targets: int, progress: Callable[[float], None] | None = None) -> Floats:
@@ -184,11 +183,13 @@ class _DirectionFit:
     """Powers of directions, not negative, that reproduce correlations best in least squares."""
 
     def __init__(self, cos: Singles, sin: Singles, taper: Floats) -> None:
-        still = np.concatenate([np.ones(len(cos)), np.zeros(len(cos))])[:, None]
-        design = np.concatenate([np.concatenate([cos, sin]), still], axis=1)
-        self.design = (design * np.tile(taper, 2)[:, None]).astype(np.float32)
+        count, weight = len(cos), taper.astype(np.float32)
+        self.design = np.zeros((2 * count, cos.shape[1] + 1), np.float32)
+        np.multiply(cos, weight[:, None], out=self.design[:count, :-1])
+        np.multiply(sin, weight[:, None], out=self.design[count:, :-1])
+        self.design[:count, -1] = weight
         normal = (self.design.T @ self.design).astype(float)
-        self.root = np.linalg.cholesky(normal + 1e-3 * len(design) * np.eye(len(normal)))
+        self.root = np.linalg.cholesky(normal + 1e-3 * 2 * count * np.eye(len(normal)))
 
     def powers(self, correlation: Complexes) -> Floats:
         """Powers (directions + 1), the last that of echoes which do not change; their sum is below 1."""

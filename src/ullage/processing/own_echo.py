@@ -149,13 +149,14 @@ class OwnEchoFilter:
 
     def is_due(self, name: str) -> bool:
         """Whether there is no estimate of a sensor yet, or one from far fewer places than are remembered."""
-        return name not in self.found or len(self._kept[name].frames) >= self._growth * self._kept[name].used
+        return name not in self.found or len(self._kept[name]) >= self._growth * self._kept[name].used
 
     def renew(self, name: str) -> None:
         """Estimate the own echo of a sensor from all places that are remembered."""
         kept = self._kept[name]
-        kept.used = len(kept.frames)
-        self.found[name] = own_echo(joined(kept.frames))
+        kept.used = len(kept)
+        kept.pieces = [joined(kept.pieces)]
+        self.found[name] = own_echo(kept.pieces[0])
 
     def clean(self, chunk: Mapping[str, Frames]) -> dict[str, Frames]:
         """Learn from a chunk and remove the own echo from it; the same chunk again costs nothing."""
@@ -169,27 +170,32 @@ class OwnEchoFilter:
 class _Places:
     """One frame of each place of a track; of unknown poses every so-manieth frame."""
 
-    frames: list[Frames] = field(default_factory=list)
+    pieces: list[Frames] = field(default_factory=list)
     seen: dict[tuple[int, ...], None] = field(default_factory=dict)  # the last places, in order
     stride: int = 1
     count: int = 0
     used: int = 0
 
+    def __len__(self) -> int:
+        return sum(map(len, self.pieces))
+
     def add(self, part: Frames, most: int) -> None:
         if not has_phase(part):
-            self.frames = self.frames or [part[:1]]
+            self.pieces = self.pieces or [part[np.array([0])]]
             return
+        new = []
         for i, place in enumerate(_places_of(part)):
-            if place in self.seen:
-                continue
-            self.seen[place] = None
+            if place not in self.seen:
+                self.seen[place] = None
+                new.append(i)
             if len(self.seen) > _MOST_PLACES:
                 del self.seen[next(iter(self.seen))]
-            if self.count % self.stride == 0:
-                self.frames.append(part[np.array([i])])  # a copy: a view would keep the whole piece
-            self.count += 1
-        if len(self.frames) > most:
-            self.frames, self.stride = self.frames[::2], 2 * self.stride
+        if kept := new[-self.count % self.stride :: self.stride]:
+            self.pieces.append(part[np.array(kept)])  # a copy: a view would keep the whole piece
+        self.count += len(new)
+        if len(self) > most:
+            whole = joined(self.pieces)
+            self.pieces, self.stride = [whole[np.arange(0, len(whole), 2)]], 2 * self.stride
             self.used = 0
 
 
