@@ -50,7 +50,8 @@ def read_motive(path: Path) -> object:
 
 
 def read_option(path: Path) -> object:
-    from ullage.ports.imc.options import SourceOptions, endpoint, options_of
+    from ullage.ports.cosimulation import options_of
+    from ullage.ports.imc.options import SourceOptions, endpoint
     from ullage.ports.live import Address
 
     text = path.read_text()
@@ -58,7 +59,7 @@ def read_option(path: Path) -> object:
         return make_scenario({"name": "x"}, options=[text])
     address = Address.of(text)
     assert address is not None
-    return endpoint(address.place), options_of(SourceOptions, address.options)
+    return endpoint(address.place), options_of(SourceOptions, address.options, "imc")
 
 
 READERS: dict[str, Callable[[Path], object]] = {

@@ -331,15 +331,16 @@ def _read_options(path: Path) -> None:
 
 def _read_address(path: Path) -> None:
     """The options of a live port, as far as they are read before anything is connected."""
-    from ullage.ports.imc.options import SourceOptions, endpoint, numbers_of, options_of
-    from ullage.ports.live import Address
+    from ullage.ports.cosimulation import options_of
+    from ullage.ports.imc.options import SourceOptions, endpoint
+    from ullage.ports.live import Address, point_of
 
     address = Address.of(path.read_bytes().decode("utf-8", "replace"))
     if address is None:
         raise ul.InputError("no address", where=path.name)
     endpoint(address.place)
-    options = options_of(SourceOptions, address.options)
-    options.waypoints(), options.place(), numbers_of(options.start, "start", (3, 4))
+    options = options_of(SourceOptions, address.options, "imc")
+    options.waypoints(), options.place(), point_of(options.start, "start", where="imc", yaw=True)
 
 
 def _read_motive(path: Path) -> None:

@@ -10,8 +10,9 @@ import pytest
 from ullage.flight.live import Wish
 from ullage.flight.pilot import HOVER, Velocity
 from ullage.geometry import quat_matrix, quat_rpy, rpy_quat
-from ullage.ports.drone import COMMAND_S, STALE_S, DroneState, Guided, Limits, state_of
+from ullage.ports.drone import COMMAND_S, STALE_S, Guided, Limits, state_of
 from ullage.ports.intake import Counters
+from ullage.ports.pose_events import BodyState
 
 
 class Point:
@@ -27,7 +28,7 @@ class Point:
         if self.mute:
             return []
         quat = rpy_quat(0.0, 0.0, self.yaw)
-        return [DroneState(round(self.t_s * 1e9), self.place.copy(), quat, np.zeros(3), np.zeros(3))]
+        return [BodyState(round(self.t_s * 1e9), self.place.copy(), quat, np.zeros(3), np.zeros(3))]
 
     def steer(self, velocity):
         self.velocity = velocity

@@ -114,7 +114,7 @@ def test_fixes_are_east_north_up_of_a_datum(radar: Path) -> None:
         (logs.sentence(1.0, np.zeros(3)).replace(",4,12", ",0,12"), "", "no fix in it"),
         (logs.sentence(1.0, np.zeros(3)), "-33.5,-70.2", "a track of one pose"),
         (logs.sentence(1.0, np.zeros(3)), "0,0", "none of 1 poses.*1000 km"),
-        (logs.sentence(1.0, np.zeros(3)), "95,0", "'95,0' is no place.*latitude,longitude"),
+        (logs.sentence(1.0, np.zeros(3)), "95,0", "datum is '95,0'.*latitude,longitude"),
     ],
 )
 @pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import Field
 
 from ullage.arrays import Floats
 from ullage.config import Fidelity
-from ullage.data import Frames, Trajectory, gathered
+from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.ports.dynamic_scene import DynamicScene
 from ullage.ports.intake import (
     GAP_NS,
     LATE_NS,
-    PATIENCE_S,
     PIECE_S,
     Clock,
     Counters,
@@ -31,10 +30,10 @@ from ullage.ports.intake import (
     Stamped,
     Stream,
     checked_pose,
-    warn,
 )
+from ullage.ports.live import LiveSource
 from ullage.ports.pose_events import Feed, ModelPose, Notice, OtherModels
-from ullage.ports.protocol import Item, Passing, one_or_all
+from ullage.ports.protocol import Item, Sink
 from ullage.ports.radar_status import RadarStatus
 from ullage.ports.rate_limiter import RateLimiter
 from ullage.radar.live import LiveRadars
@@ -45,17 +44,28 @@ BEHIND_S = 1.0
 """Report frames that are later than the newest pose by more than this, on the simulator's clock [s]."""
 
 
-class RadarOptions(LiveOptions):
-    """Options of radars that are simulated along poses from outside."""
+class SensingOptions(LiveOptions):
+    """Options of radars that are simulated as a vehicle moves."""
 
-    model: str = Field("", description="name of the model that carries the radars; none: the only one that has some")
-    world: str = Field("", description="library world or file that the vehicle is in")
     rig: str = Field("", description="rig preset, or SDF/URDF file of the model; none: as declared, or thesis-4")
     fidelity: Fidelity = "physical"
     max_bounces: int = Field(1, ge=1, le=3)
     seed: int = Field(0, ge=0)
     rate_hz: float | None = Field(None, gt=0, le=10_000, description="frames a second; none: each radar's own")
-    duration_s: float | None = Field(None, gt=0, description="ends after this much of the simulator's time")
+    duration_s: float | None = Field(None, gt=0, description="ends after this much of the poses' time")
+
+    def radars(self, scene: Scene, rig: Rig) -> LiveRadars:
+        """Return these radars in a world, before the first pose."""
+        return LiveRadars(
+            scene, rig, fidelity=self.fidelity, max_bounces=self.max_bounces, seed=self.seed, rate_hz=self.rate_hz
+        )
+
+
+class RadarOptions(SensingOptions):
+    """Options of radars that are simulated along poses from outside."""
+
+    model: str = Field("", description="name of the model that carries the radars; none: the only one that has some")
+    world: str = Field("", description="library world or file that the vehicle is in")
 
 
 class CosimulationOptions(RadarOptions):
@@ -100,8 +110,8 @@ def options_of(kind: type[Options], values: dict[str, Any], where: str) -> Optio
     return kind(**values)
 
 
-class UnboundedSource(ABC):
-    """A live source without an end: it has no path or map, and limits how often it logs the same line.
+class UnboundedSource(LiveSource):
+    """A live source that ends by the clock of its frames alone.
 
     Args:
         duration_s: how long to receive, by the clock of the frames [s]; None: until the peer ends.
@@ -111,11 +121,12 @@ class UnboundedSource(ABC):
     """
 
     def __init__(self, duration_s: float | None, log: Log | None, *, topic: str, lag_s: float | None = None) -> None:
-        self._log, self._logged_s = log or warn, dict[str, float]()
-        self._duration_s, self.lag_s = duration_s, lag_s
-        self._stopping = False
-        self._limit_s: float | None = None  # what is later is left out; None: nothing is
+        super().__init__(log=log, lag_s=lag_s)
+        self._duration_s = duration_s
         self._count_with(Counters(), topic)
+
+    def _without_end(self) -> str:
+        return "duration_s=SECONDS" if self._duration_s is None else ""
 
     def _count_with(self, counters: Counters, topic: str) -> None:
         """Count messages with these counters, and track the time of a topic."""
@@ -128,57 +139,6 @@ class UnboundedSource(ABC):
         self._streams.append(self._clock.stream(topic))
         return self._streams[-1]
 
-    @abstractmethod
-    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Give frames as they come, at most about `chunk` of each radar at a time."""
-
-    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Return all frames until the peer ends or the duration is over.
-
-        Raises:
-            InputError: no duration is set, no frames came, or there is no such sensor.
-        """
-        if self._duration_s is None:
-            raise InputError("a live port has no end", where="frames", allowed="duration_s=SECONDS, or stream()")
-        frames = gathered(self.stream())
-        if not frames:
-            raise InputError("no frames came", where="frames")
-        return one_or_all(frames, sensor)
-
-    def trajectory(self) -> Trajectory | None:
-        """None: the path is not over."""
-        return None
-
-    def map(self) -> None:
-        """None: simulators hold no maps."""
-        return None
-
-    @property
-    def behind_s(self) -> float:
-        """How long the oldest pose waits already [s]."""
-        return self._behind_s()
-
-    def _behind_s(self) -> float:
-        return 0.0
-
-    def keep_up(self, lag_s: float) -> None:
-        """From now on leave out what is later than this [s]."""
-        self._limit_s = lag_s
-
-    def stop(self) -> None:
-        """End the stream after what has come so far; safe to call from another thread."""
-        self._stopping = True
-
-    @abstractmethod
-    def close(self) -> None:
-        """Close sockets and end threads."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
     def _over(self) -> bool:
         elapsed_ns = max(stream.elapsed_ns for stream in self._streams)
         return self._duration_s is not None and elapsed_ns >= self._duration_s * 1e9
@@ -189,13 +149,6 @@ class UnboundedSource(ABC):
             stream.finish()
         for line in self.counters.lines():
             self._log(line)
-
-    def _log_throttled(self, text: str, *, kind: str = "") -> None:
-        """Log a line, but the same kind at most once every few seconds."""
-        now = time.monotonic()
-        if now - self._logged_s.get(kind or text, -PATIENCE_S) >= PATIENCE_S:
-            self._logged_s[kind or text] = now
-            self._log(text)
 
 
 class CosimulationSource(UnboundedSource):
@@ -213,19 +166,20 @@ class CosimulationSource(UnboundedSource):
         log: takes lines for the user; None: they become warnings.
     """
 
+    name = "radars"
+    """Of the status on `/diagnostics`."""
+    rest_s = PIECE_S
+    """Poses that may stay unused when the stream is stopped [s]."""
+
     def __init__(
-        self, join: Callable[[], Feed], scene: Scene, rig: Rig, options: RadarOptions, *, log: Log | None = None
+        self, join: Callable[[], Feed], scene: Scene, rig: Rig, options: SensingOptions, *, log: Log | None = None
     ) -> None:
-        self.scene: Scene | None = scene
-        self.rig = rig
-        self.passing = Passing()
-        self._status = RadarStatus("radars", late_s=BEHIND_S)
-        super().__init__(options.duration_s, log, topic=options.model or "poses", lag_s=options.lag_s)
+        topic = getattr(options, "model", self.name) or "poses"
+        super().__init__(options.duration_s, log, topic=topic, lag_s=options.lag_s)
+        self.scene, self.rig = scene, rig
+        self._status = RadarStatus(self.name, late_s=BEHIND_S)
         self._publish = isinstance(options, CosimulationOptions) and options.publish
-        self._radars = LiveRadars(
-            scene, rig, fidelity=options.fidelity, max_bounces=options.max_bounces, seed=options.seed,
-            rate_hz=options.rate_hz,
-        )  # fmt: skip
+        self._radars = options.radars(scene, rig)
         self._fastest_hz = options.rate_hz or max(spec.fps for spec in rig.sensors.values())
         self._scene = DynamicScene(scene)
         self._waiting: deque[Stamped[ModelPose] | OtherModels] = deque()
@@ -237,7 +191,7 @@ class CosimulationSource(UnboundedSource):
         self._radars.advance(0, scene.bounds.mean(0), (0, 0, 0, 1))  # loads and compiles while nobody waits
         self._radars.reset()
         self._feed = join()
-        self._count_with(getattr(self._feed, "counters", None) or Counters(), options.model or "poses")
+        self._count_with(getattr(self._feed, "counters", None) or Counters(), topic)
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -268,7 +222,7 @@ class CosimulationSource(UnboundedSource):
                     if self._publish:
                         self._feed.give(found, self._offset_ns)
                     yield found
-                if stopping and self._behind_s() < PIECE_S:
+                if stopping and self.behind_s < self.rest_s:
                     return
         finally:
             self._report()
@@ -276,7 +230,7 @@ class CosimulationSource(UnboundedSource):
 
     def _left_out(self, poses: list[Stamped[ModelPose]]) -> bool:
         """Whether frames of these poses would come later than the limit allows; the next ones leave a gap then."""
-        if self._limit_s and self._behind_s(poses[-1].t_ns) > self._limit_s:
+        if self._limit_s and self._delay_s(poses[-1].t_ns) > self._limit_s:
             self._gap = True
             return True
         if self._gap:
@@ -357,30 +311,36 @@ class CosimulationSource(UnboundedSource):
         for others in early:
             self._update_scene(others)
 
-    def _behind_s(self, done_ns: int | None = None) -> float:
-        """Return the delay of the frames behind the newest pose [s].
+    @property
+    def behind_s(self) -> float:
+        """Delay of the frames made so far behind the newest pose [s]."""
+        return self._delay_s(self._done_ns)
+
+    def _delay_s(self, done_ns: int) -> float:
+        """Return the delay of frames up to a time behind the newest pose [s].
 
         Poses that wait unread count by this machine's clock, the others by the simulator's.
-
-        Args:
-            done_ns: frames exist up to this time; None: those made so far.
         """
         newest, waits_s = getattr(self._feed, "newest_ns", 0), getattr(self._feed, "behind_s", 0.0)
-        done_ns = self._done_ns if done_ns is None else done_ns
         return max((newest + self._offset_ns - done_ns) * 1e-9 if newest else 0.0, waits_s)
 
     def _report_status(self, found: dict[str, Frames]) -> None:
         """Count the frames for `/diagnostics`; the feed publishes the status if it can."""
-        self._status.add(found, self._behind_s())
-        if (status := self._status.message(self._done_ns, self.counters)) is not None:
+        self._status.add(found, self.behind_s)
+        status = self._status.message(self._done_ns, self.counters, contacts=self._contacts())
+        if status is not None:
             publish = getattr(self._feed, "pass_on", None)
             if publish is None:
                 self.passing.give(lambda: [status])
             else:
                 publish(status)
 
+    def _contacts(self) -> int:
+        """Return how often the vehicle has touched something."""
+        return 0
+
     def _log_if_behind(self) -> None:
-        if (behind_s := self._behind_s()) > BEHIND_S:
+        if (behind_s := self.behind_s) > BEHIND_S:
             most_s = self._limit_s
             limit = f"frames later than {most_s:g} s are left out" if most_s else "every frame is still made"
             self._log_throttled(
@@ -460,7 +420,7 @@ class SimulatorSinkOptions(Spec):
     host: str = Field("127.0.0.1", description="address of the interface to use")
 
 
-class PacedSink(ABC):
+class PacedSink(Sink):
     """Give frames at the rate of their own clock, in order of time; ignore everything else.
 
     Args:
@@ -483,22 +443,12 @@ class PacedSink(ABC):
         time.sleep(max(0.0, self._limiter.due_s(t_ns, now) - now))
         self.tick(t_ns)
 
-    def tick(self, t_ns: int) -> None:  # noqa: B027 (not every simulator takes a clock)
+    def tick(self, t_ns: int) -> None:
         """Publish the time of the frames before each is given."""
 
     @abstractmethod
     def give(self, frames: Frames) -> None:
         """Hand some frames on."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Finish."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def nearest(frames: Frames) -> Floats:

@@ -10,7 +10,6 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -20,6 +19,7 @@ from ullage.flight.live import Wish
 from ullage.flight.pilot import HOVER, Velocity
 from ullage.geometry import quat_matrix, quat_rpy
 from ullage.ports.intake import Counters, Log, checked_pose
+from ullage.ports.pose_events import BodyState
 from ullage.ports.publisher import is_present
 from ullage.specs import Spec
 
@@ -30,17 +30,6 @@ STALE_S = 1.0
 """A state older than this [s] is no ground for a command but to hover."""
 REFERENCE_M = 1.0
 """How far a moving set-point may run ahead of the drone [m]."""
-
-
-@dataclass(frozen=True, slots=True)
-class DroneState:
-    """Pose and motion of a drone: world ENU, body FLU."""
-
-    t_ns: int  # Unix time
-    position: Floats  # (3) [m]
-    quat_xyzw: Floats  # (4) world_from_body
-    velocity: Floats  # (3) world [m/s]
-    spin: Floats  # (3) body [rad/s]
 
 
 class DroneOptions(Spec):
@@ -56,7 +45,7 @@ class Drone(Protocol):
 
     counters: Counters  # of messages that could not be used
 
-    def states(self) -> list[DroneState]:
+    def states(self) -> list[BodyState]:
         """Return the states since the last call, in order of time."""
 
     def steer(self, velocity: Velocity) -> None:
@@ -80,7 +69,7 @@ class Limits(NamedTuple):
 def state_of(
     t_ns: int, position: tuple[float, ...], quat_xyzw: tuple[float, ...], linear: tuple[float, ...],
     angular: tuple[float, ...],
-) -> DroneState | str:  # fmt: skip
+) -> BodyState | str:  # fmt: skip
     """The state that an odometry message gives, with its twist in the body; or what is wrong with it.
 
     Args:
@@ -95,7 +84,7 @@ def state_of(
         return pose
     if not np.isfinite([*linear, *angular]).all():
         return "twist is not finite"
-    return DroneState(t_ns, pose[0], pose[1], quat_matrix(pose[1]) @ np.array(linear), np.array(angular))
+    return BodyState(t_ns, pose[0], pose[1], quat_matrix(pose[1]) @ np.array(linear), np.array(angular))
 
 
 class TopicDrone(ABC):
@@ -109,7 +98,7 @@ class TopicDrone(ABC):
     def __init__(self, odom: str, counters: Counters) -> None:
         self._odom, self.counters, self._last_ns = odom, counters, 0
 
-    def states(self) -> list[DroneState]:
+    def states(self) -> list[BodyState]:
         """Return the states since the last call, in order of time."""
         out = []
         for data in self._arrived():
@@ -132,10 +121,10 @@ class TopicDrone(ABC):
         """Give the odometry messages since the last call."""
 
     @abstractmethod
-    def _state(self, data: bytes) -> DroneState | str:
+    def _state(self, data: bytes) -> BodyState | str:
         """Return the state in an odometry message, or what is wrong with it."""
 
-    def _state_of(self, t_ns: int, pose: Any, twist: Any) -> DroneState | str:
+    def _state_of(self, t_ns: int, pose: Any, twist: Any) -> BodyState | str:
         """Return the state that pose and twist of an odometry message give."""
         at, turn, linear, angular = pose.position, pose.orientation, twist.linear, twist.angular
         return state_of(
@@ -165,7 +154,7 @@ class Guided:
         self._drone, self._takes, self._limits, self._log, self._now = drone, takes, limits, log, now
         self.wish = Wish()
         self._asked = self._stale = False
-        self._state: DroneState | None = None
+        self._state: BodyState | None = None
         self._fresh_s = self._due_s = self._last_s = -math.inf
         self._step_s = COMMAND_S  # since the command before [s]
         self._reference: Floats | None = None  # the set-point that a velocity moves
@@ -189,7 +178,7 @@ class Guided:
         self._asked = True
         self.wish = self.wish.then(wish)
 
-    def fly(self) -> list[DroneState]:
+    def fly(self) -> list[BodyState]:
         """The drone's states since the last call; a command is sent when one is due."""
         states, now = self._drone.states(), self._now()
         if states:
@@ -215,7 +204,7 @@ class Guided:
         else:
             self._drone.go_to(*self._set_point(state))
 
-    def velocity(self, state: DroneState) -> Velocity:
+    def velocity(self, state: BodyState) -> Velocity:
         """The velocity to command at this state, in the level frame of the heading, within the limits."""
         yaw = float(quat_rpy(state.quat_xyzw)[2])
         east, north, up = self.wish.velocity(state.position, yaw)
@@ -229,7 +218,7 @@ class Guided:
     def _turns(self) -> bool:
         return self.wish.turn_rad_s is not None or self.wish.heading_rad is not None
 
-    def _set_point(self, state: DroneState) -> tuple[tuple[float, float, float], float]:
+    def _set_point(self, state: BodyState) -> tuple[tuple[float, float, float], float]:
         yaw = float(quat_rpy(state.quat_xyzw)[2])
         wish = self.wish
         if wish.turn_rad_s is not None:

@@ -14,6 +14,7 @@ from ullage.ports.ned import SWAP
 
 MAJOR_M, FLATTENING = 6_378_137.0, 1 / 298.257223563
 ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
+MOST_HEIGHT_M = 1e5
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +69,17 @@ class Geodetic:
         return np.asarray((earth - self.earth_centred) @ self.earth_from_ned @ SWAP.T)
 
 
-def datum_of(text: object) -> Geodetic:
-    """The place in `latitude,longitude` or `latitude,longitude,height` [deg, m].
+def datum_of(text: object, option: str = "datum") -> Geodetic:
+    """The place in `latitude,longitude` or `latitude,longitude,height` [deg, m] that an option gives.
 
     Raises:
         InputError: it is none.
     """
     try:
         values = [float(part) for part in str(text).split(",")]
-        if len(values) in (2, 3) and abs(values[0]) <= 90 and abs(values[1]) <= 180 and all(map(math.isfinite, values)):
+        within = zip(map(abs, values), (90, 180, MOST_HEIGHT_M), strict=False)
+        if len(values) in (2, 3) and all(value <= most for value, most in within):
             return Geodetic.degrees(*values)
     except ValueError:
         pass
-    raise InputError(f"{str(text)!r} is no place", where="datum", allowed="latitude,longitude or with ,height_m")
+    raise InputError(f"{option} is {str(text)!r}", where=option, allowed="latitude,longitude or with ,height_m")

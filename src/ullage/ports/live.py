@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import math
 import re
-from collections.abc import Callable, Iterator
+import time
+from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Self
 from urllib.parse import parse_qsl
 
 from ullage import plugins
-from ullage.data import Frames
+from ullage.data import Frames, gathered
 from ullage.errors import InputError
-from ullage.ports.protocol import Sink, Source
+from ullage.ports.intake import PATIENCE_S, Inbox, Log, warn
+from ullage.ports.protocol import Passing, Sink, Source, one_or_all
 from ullage.world.scene import Scene
 
 SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+-]+):")
@@ -31,21 +35,81 @@ ADDED: tuple[plugins.Group, plugins.Group] = ("ullage.sources", "ullage.sinks")
 LISTED = ", ".join(f"{scheme}:" for scheme in LIVE)
 
 
-@runtime_checkable
-class LiveSource(Protocol):
-    """Source that measures continuously: its stream can be read once, and the past is not available."""
+class LiveSource(Source):
+    """Source that measures continuously: its stream can be read once, and the past is not available.
 
-    scene: Scene | None  # the world, if the port knows it
+    Args:
+        log: takes lines for the user; None: they become warnings.
+        lag_s: what is later than this is left out [s]; None: nothing is.
+    """
+
+    where = "frames"
+    """What complaints name."""
+    scene: Scene | None = None
+    """The world, if the port knows it."""
+
+    def __init__(self, *, log: Log | None = None, lag_s: float | None = None) -> None:
+        self._log, self._logged_s = log or warn, dict[str, float]()
+        self.lag_s = lag_s
+        self.passing = Passing()
+        self._limit_s: float | None = None  # what is later is left out; None: nothing is
+        self._stopping = False
+
+    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
+        """Return all frames until the peer ends or the duration is over.
+
+        Raises:
+            InputError: no end is set, no frames came, or there is no such sensor.
+        """
+        if ends := self._without_end():
+            raise InputError("a live port has no end", where=self.where, allowed=f"{ends}, or stream()")
+        whole = gathered(self.stream())
+        if not whole:
+            raise InputError("no frames came", where=self.where)
+        return one_or_all(whole, sensor)
+
+    def _without_end(self) -> str:
+        """Return the options that would end the stream; empty if it ends."""
+        return ""
+
+    def _queue(self) -> Inbox[Any] | None:
+        """Return the queue of what waits to be used, if the source has one."""
+        return None
 
     @property
-    def sensors(self) -> tuple[str, ...]:
-        """Names of the radars known so far."""
+    def behind_s(self) -> float:
+        """How long the oldest message waits already [s]."""
+        queue = self._queue()
+        return queue.behind_s if queue is not None else 0.0
 
-    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Give frames with poses as they arrive, until the peer ends, the duration is over, or Ctrl-C."""
+    def keep_up(self, lag_s: float) -> None:
+        """From now on leave out what is later than this [s]."""
+        self._limit_s = lag_s
+        if (queue := self._queue()) is not None:
+            queue.lag_s = lag_s
 
+    def stop(self) -> None:
+        """End the stream after what has come so far; safe to call from another thread."""
+        if (queue := self._queue()) is not None:
+            queue.lag_s = None
+        self._stopping = True
+
+    @abstractmethod
     def close(self) -> None:
-        """Close sockets and nodes."""
+        """Close sockets and end threads."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _log_throttled(self, text: str, *, kind: str = "") -> None:
+        """Log a line, but the same kind at most once every few seconds."""
+        now = time.monotonic()
+        if now - self._logged_s.get(kind or text, -PATIENCE_S) >= PATIENCE_S:
+            self._logged_s[kind or text] = now
+            self._log(text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,3 +178,19 @@ class Address:
         added = None if self.scheme in LIVE else plugins.load("ullage.sinks", self.scheme)
         sink: Sink = (added or self.port().open_sink)(self.place, self.options)
         return sink
+
+
+def point_of(text: str, name: str, *, where: str, yaw: bool = False) -> tuple[float, ...]:
+    """Read the x, y, z [m] of a point, and with `yaw` a heading [deg] if one is given, with commas between them.
+
+    Raises:
+        InputError: there are too many or too few numbers, or one is not finite.
+    """
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) not in (3, 3 + yaw) or not all(map(math.isfinite, numbers)):
+        allowed = "X,Y,Z or X,Y,Z,YAW in metres and degrees" if yaw else "X,Y,Z in metres"
+        raise InputError(f"{name} is {text!r}", where=where, allowed=allowed)
+    return numbers

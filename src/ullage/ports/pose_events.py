@@ -5,11 +5,14 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
-from ullage.data import Frames
+import numpy as np
+
+from ullage.arrays import Floats
+from ullage.data import Frames, Trajectory
 from ullage.ports.intake import PATIENCE_S, Counters, Inbox, checked_pose
 
 Quat = tuple[float, float, float, float]
@@ -24,6 +27,23 @@ class ModelPose:
     t_ns: int
     position: tuple[float, float, float]
     quat_xyzw: Quat
+
+
+@dataclass(frozen=True, slots=True)
+class BodyState:
+    """Pose and motion of a vehicle: world ENU, body FLU."""
+
+    t_ns: int
+    position: Floats  # (3) [m]
+    quat_xyzw: Floats  # (4) world_from_body
+    velocity: Floats  # (3) world [m/s]
+    spin: Floats  # (3) body [rad/s]
+
+
+def path_along(states: Iterable[BodyState]) -> Trajectory:
+    """Return the trajectory of states with rising times."""
+    rows = [(one.t_ns, one.position, one.quat_xyzw, one.velocity, one.spin) for one in states]
+    return Trajectory(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)

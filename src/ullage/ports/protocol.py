@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage import checks
-from ullage.data import Detections, Frames, Trajectory
+from ullage.data import Detections, Frames, Trajectory, gathered
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import Image, OccupancyMap
 from ullage.processing.obstacles import ObstacleSectors
@@ -103,6 +103,43 @@ class Sink(Protocol):
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+class Recording(Source):
+    """A file whose frames are what its stream gives.
+
+    Args:
+        path: of the file.
+    """
+
+    holds = ""
+    """What frames are made of, for complaints."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._sensors: tuple[str, ...] | None = None
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the radars."""
+        if self._sensors is None:
+            self._sensors = tuple(dict.fromkeys(self._names()))
+        return self._sensors
+
+    def _names(self) -> Iterator[str]:
+        """Give the name of each radar, once or more often."""
+        return (name for piece in self.stream(1024) for name in piece)
+
+    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
+        """Everything of one sensor as Frames, or of several as a dict by name.
+
+        Raises:
+            InputError: no frames are there, or no such sensor.
+        """
+        whole = gathered(self.stream(1024))
+        if not whole:
+            raise InputError("no radar frames in it", where=self.path, allowed=self.holds)
+        return one_or_all(whole, sensor)
 
 
 class WholeSource(Source):

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ullage.data import Frames, Trajectory, gathered, joined
+from ullage.data import Frames, Trajectory, joined
 from ullage.errors import DamageWarning, InputError, UllageWarning
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions
 from ullage.ports import schema as ros
 from ullage.ports.intake import Clock, Counters, Stamped, Stream
-from ullage.ports.protocol import one_or_all
+from ullage.ports.protocol import Recording
 
 if TYPE_CHECKING:
     from ullage.flight.live import Wish
@@ -40,7 +40,7 @@ class Waiting:
     messages: list[Stamped[bytes]] = field(default_factory=list)
 
 
-class McapSource:
+class McapSource(Recording):
     """Reads a recording, in bounded memory when streamed.
 
     Args:
@@ -50,8 +50,10 @@ class McapSource:
         InputError: it is not a recording, or cannot be read.
     """
 
+    holds = f"messages of {ros.FRAME}"
+
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        super().__init__(path)
         try:
             with open(self.path, "rb") as file:
                 magic = file.read(len(MAGIC))
@@ -59,27 +61,10 @@ class McapSource:
             raise InputError(f"cannot read: {error.strerror}", where=self.path) from None
         if magic != MAGIC:
             raise InputError("not an MCAP recording" if magic else "empty file", where=self.path, allowed="MCAP")
-        self._sensors: tuple[str, ...] | None = None
         self.place = ""
 
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Names of the radars."""
-        if self._sensors is None:
-            found = (conversions.text_in(data, 1) for _, data in self._messages(ros.FRAME))
-            self._sensors = tuple(dict.fromkeys(found))
-        return self._sensors
-
-    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Everything of one sensor as Frames, or of several as a dict by name.
-
-        Raises:
-            InputError: no frames are there, or no such sensor.
-        """
-        whole = gathered(self.stream(1024))
-        if not whole:
-            raise InputError("no radar frames in it", where=self.path, allowed=f"messages of {ros.FRAME}")
-        return one_or_all(whole, sensor)
+    def _names(self) -> Iterator[str]:
+        return (conversions.text_in(data, 1) for _, data in self._messages(ros.FRAME))
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """The same in pieces of at most `chunk` frames of each sensor, in order of time.

@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.data import Frames, Trajectory
+from ullage.data import Frames
 from ullage.errors import InputError, UllageWarning
 from ullage.geometry import C0
-from ullage.grids import OccupancyMap
-from ullage.ports.protocol import mend_clock, one_or_all
+from ullage.ports.protocol import Source, mend_clock, one_or_all
 from ullage.specs import RadarSpec
 
 DRIVER_C = 3e8
@@ -39,7 +38,7 @@ class Rows:
     spec: RadarSpec
 
 
-class X4Source:
+class X4Source(Source):
     """An X4 recording, read from disk as it is used.
 
     Args:
@@ -76,14 +75,6 @@ class X4Source:
         """The same in pieces of at most `chunk` frames."""
         for start in range(0, len(self._t_ns), chunk):
             yield {"x4": self._cut(start, start + chunk)}
-
-    def trajectory(self) -> Trajectory | None:
-        """None: an X4 does not know where it is."""
-        return None
-
-    def map(self) -> OccupancyMap | None:
-        """None: an X4 does not map."""
-        return None
 
     def _cut(self, start: int, stop: int) -> Frames:
         rows, spec = self._rows.table[start:stop], self._rows.spec

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from ullage.geometry import matrix_quat, quat_matrix, quat_rpy, rpy_quat
 from ullage.ports.geodetic import Geodetic
-from ullage.ports.imc.geodetic import Pose, pose_of, state_of
+from ullage.ports.imc.geodetic import pose_of, state_of
 from ullage.ports.imc.table import own
+from ullage.ports.pose_events import BodyState
 
 ANYWHERE = st.builds(Geodetic, st.floats(-1.55, 1.55), st.floats(-3.1, 3.1), st.floats(-100, 5000))
 OFFSETS = st.tuples(*[st.floats(-2000, 2000)] * 3).map(np.array)
@@ -38,7 +39,7 @@ def test_a_point_moved_is_where_it_was_moved_to(place: Geodetic, ned: np.ndarray
 @given(ANYWHERE, OFFSETS, st.tuples(*[st.floats(-3, 3)] * 3))
 def test_the_reference_that_a_vehicle_uses_changes_nothing(origin: Geodetic, ned: np.ndarray, far: tuple) -> None:
     attitude = np.array([0.1, -0.2, 0.3, 0.9]) / math.sqrt(0.95)
-    pose = Pose(5, np.array([10.0, -20.0, 3.0]), attitude, np.array(far), np.array([0.1, 0.2, -0.3]))
+    pose = BodyState(5, np.array([10.0, -20.0, 3.0]), attitude, np.array(far), np.array([0.1, 0.2, -0.3]))
     told = state_of(pose, origin)
     other = origin.moved(ned)
     # the same pose, told by a vehicle whose reference lies elsewhere

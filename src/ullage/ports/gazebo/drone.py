@@ -7,11 +7,11 @@ from collections.abc import Iterator
 
 from ullage.errors import InputError
 from ullage.flight.pilot import Velocity
-from ullage.ports.drone import DroneOptions, DroneState, Takes, TopicDrone
+from ullage.ports.drone import DroneOptions, Takes, TopicDrone
 from ullage.ports.gazebo.messages import gz
 from ullage.ports.gazebo.peer import Received, TopicOffered
 from ullage.ports.gazebo.transport import TransportPeer
-from ullage.ports.pose_events import stamp_ns
+from ullage.ports.pose_events import BodyState, stamp_ns
 
 REFUSAL = "Gazebo's multicopters take no poses"
 
@@ -54,7 +54,7 @@ class GazeboDrone(TopicDrone):
             self._offered = True
             self._peer.advertise(self._cmd_vel, f"{kind.rpartition('.')[0]}.Twist")
 
-    def _state(self, data: bytes) -> DroneState | str:
+    def _state(self, data: bytes) -> BodyState | str:
         message = gz().Odometry.FromString(data)
         return self._state_of(stamp_ns(message.header.stamp), message.pose, message.twist)
 

@@ -21,8 +21,9 @@ from ullage.ports import schema as ros
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import Packet, readable
 from ullage.ports.imc.frames import carried, mount_of, profile_of
-from ullage.ports.imc.geodetic import Pose, path_along, pose_of
+from ullage.ports.imc.geodetic import pose_of
 from ullage.ports.intake import Clock, Counters, Log, Place, PoseQueue, Stamped, Stream
+from ullage.ports.pose_events import BodyState, path_along
 from ullage.specs import MountSpec, RadarSpec
 
 MOST_WAITING = 4096  # messages of one sensor that wait for a pose or for their settings
@@ -61,13 +62,13 @@ class Track:
     origin: Geodetic | None = None
     vehicle: str = ""
     keep: int | None = 4096
-    poses: deque[Pose] = field(default_factory=deque)
+    poses: deque[BodyState] = field(default_factory=deque)
     followed: int | None = None
     started_ns: int = 0  # begin of the present track
     offset_ns: int = 0  # time of the poses minus the vehicle's clock
     _stream: Stream[Packet] | None = None
 
-    def take(self, packet: Packet) -> list[Stamped[Pose]]:
+    def take(self, packet: Packet) -> list[Stamped[BodyState]]:
         """Return the poses that a message completes: none, its own, or a waiting one and its own."""
         if packet.name == "Announce" and self.vehicle and packet["sys_name"] == self.vehicle:
             self.followed = packet.src
@@ -88,7 +89,7 @@ class Track:
             self.followed, self._stream = packet.src, Clock(self.counters).stream(topic)
         return [self._keep(one) for one in self._stream.take(round(packet.t_s * 1e9), packet)]
 
-    def _keep(self, found: Stamped[Packet]) -> Stamped[Pose]:
+    def _keep(self, found: Stamped[Packet]) -> Stamped[BodyState]:
         values = found.item.message.values
         if self.origin is None:
             self.origin = Geodetic(values["lat"], values["lon"], values["height"])
@@ -118,7 +119,7 @@ class Track:
 
     def path(self) -> Trajectory | None:
         """Return the path of the kept poses."""
-        return path_along(list(self.poses)) if self.poses else None
+        return path_along(self.poses) if self.poses else None
 
 
 @dataclass(slots=True)

@@ -12,11 +12,11 @@ from ullage.arrays import Floats
 from ullage.flight.missions import Waypoints
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import Packet, make, readable
-from ullage.ports.imc.geodetic import Pose
 from ullage.ports.imc.helm import FAILURE, REQUEST, START, STOP, SUCCESS
 from ullage.ports.imc.link import Link
 from ullage.ports.intake import Log
 from ullage.ports.ned import SWAP
+from ullage.ports.pose_events import BodyState
 
 IN_PROGRESS = 3
 IGNORE_ERRORS = 2
@@ -107,7 +107,7 @@ class Backseat:
             return False
         return packet["state"] in LOITERS and packet["proximity"] & (XY_NEAR | Z_NEAR) == XY_NEAR | Z_NEAR
 
-    def lead(self, vehicle: int, pose: Pose, origin: Geodetic) -> None:
+    def lead(self, vehicle: int, pose: BodyState, origin: Geodetic) -> None:
         """Send the messages that are due at this pose of the vehicle."""
         self._vehicle = vehicle
         if self.refused:
@@ -130,7 +130,7 @@ class Backseat:
             self._sent_s = now
             self._refer(vehicle, origin, self.target, LOCATION | SPEED | HEIGHT_FLAG)
 
-    def _reached(self, pose: Pose) -> bool:
+    def _reached(self, pose: BodyState) -> bool:
         away: Floats = self._mission.points[self.target] - pose.position
         far_m = float(np.linalg.norm(away))
         if far_m <= self._near:

@@ -8,33 +8,21 @@ exactly, through earth-centred coordinates [WGS84].
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.geometry import matrix_quat, quat_matrix, quat_rpy, rpy_quat
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.ned import FLIP, SWAP
+from ullage.ports.pose_events import BodyState
 
 TRONDHEIM = Geodetic.degrees(63.4185, 10.4009)
 """Origin of a world without a geodetic place: the campus of the thesis."""
 
 
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """Pose and rates of a vehicle: world ENU, body FLU."""
-
-    t_ns: int
-    position: Floats  # (3) [m]
-    quat_xyzw: Floats  # (4) world_from_body
-    velocity: Floats  # (3) world [m/s]
-    spin: Floats  # (3) body [rad/s]
-
-
-def pose_of(state: Mapping[str, Any], t_ns: int, origin: Geodetic) -> Pose:
+def pose_of(state: Mapping[str, Any], t_ns: int, origin: Geodetic) -> BodyState:
     """Return the pose of an EstimatedState or SimulatedState in the world with this origin."""
     here = Geodetic(state["lat"], state["lon"], state["height"])
     offset = np.array([state["x"], state["y"], state["z"]], float)
@@ -48,7 +36,7 @@ def pose_of(state: Mapping[str, Any], t_ns: int, origin: Geodetic) -> Pose:
         velocity = turn @ np.array([state["vx"], state["vy"], state["vz"]], float)
     else:
         velocity = turn @ ned_from_frd @ np.array([state["u"], state["v"], state["w"]], float)
-    return Pose(
+    return BodyState(
         t_ns,
         SWAP @ place,
         matrix_quat(SWAP @ turn @ ned_from_frd @ FLIP),
@@ -57,7 +45,7 @@ def pose_of(state: Mapping[str, Any], t_ns: int, origin: Geodetic) -> Pose:
     )
 
 
-def state_of(pose: Pose, origin: Geodetic) -> dict[str, float]:
+def state_of(pose: BodyState, origin: Geodetic) -> dict[str, float]:
     """Return the fields of an EstimatedState for a pose; altitude is the height over the world's z = 0."""
     ned_from_frd = SWAP @ quat_matrix(pose.quat_xyzw) @ FLIP
     phi, theta, psi = (float(a) for a in quat_rpy(matrix_quat(ned_from_frd)))
@@ -72,19 +60,8 @@ def state_of(pose: Pose, origin: Geodetic) -> dict[str, float]:
     }  # fmt: skip
 
 
-def poses_along(path: Trajectory) -> list[Pose]:
+def poses_along(path: Trajectory) -> list[BodyState]:
     """Return each sample of a trajectory as a pose."""
     velocity, spin = path.rates
     columns = zip(path.t_ns, path.position, path.quat_xyzw, velocity, spin, strict=True)
-    return [Pose(int(t), *rest) for t, *rest in columns]
-
-
-def path_along(poses: list[Pose]) -> Trajectory:
-    """Return the trajectory of poses with rising times."""
-    return Trajectory(
-        np.array([p.t_ns for p in poses]),
-        np.array([p.position for p in poses]),
-        np.array([p.quat_xyzw for p in poses]),
-        np.array([p.velocity for p in poses]),
-        np.array([p.spin for p in poses]),
-    )
+    return [BodyState(int(t), *rest) for t, *rest in columns]

@@ -20,10 +20,11 @@ from ullage.flight.live import Steered, Wish
 from ullage.ports.drone import Guided
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import NOBODY, Message, Packet, make
-from ullage.ports.imc.geodetic import Pose, path_along, state_of
+from ullage.ports.imc.geodetic import state_of
 from ullage.ports.imc.link import Link
 from ullage.ports.intake import PIECE_S, Inbox, Log
 from ullage.ports.ned import SWAP
+from ullage.ports.pose_events import BodyState, path_along
 from ullage.ports.protocol import Passing
 
 DEPTH, ALTITUDE, HEIGHT = 1, 2, 3
@@ -212,7 +213,7 @@ class Vehicle(Protocol):
     def craft(self) -> Craft:
         """The multirotor."""
 
-    def fly(self) -> list[Pose]:
+    def fly(self) -> list[BodyState]:
         """Fly until now, and return the poses since the last call."""
 
     def close(self) -> None:
@@ -237,18 +238,18 @@ class Simulated:
         self._epoch_ns = time.time_ns()
         self._touched = False
 
-    def fly(self) -> list[Pose]:
+    def fly(self) -> list[BodyState]:
         """Fly until now, and return the poses since the last call."""
         now = time.monotonic()
         if self._begun is None:
             self._begun = now
         due_ns = int((now - self._begun) * self._pace * 1e9)
-        out: list[Pose] = []
+        out: list[BodyState] = []
         v = self.craft
         while (self._count + 1) * self._period_ns <= due_ns:
             self._count += 1
             v.advance(self._count * self._period_ns)
-            out.append(Pose(self._epoch_ns + v.t_ns, v.position, v.quat_xyzw, v.velocity, v.spin))
+            out.append(BodyState(self._epoch_ns + v.t_ns, v.position, v.quat_xyzw, v.velocity, v.spin))
             if len(out) >= 50:  # first handle commands that came meanwhile
                 break
         if v.touched and not self._touched:
@@ -271,13 +272,13 @@ class ExternalDrone:
     def __init__(self, drone: Guided, *, rate_hz: float) -> None:
         self.craft, self._period_ns, self._last_ns = drone, round(1e9 / rate_hz), 0
 
-    def fly(self) -> list[Pose]:
+    def fly(self) -> list[BodyState]:
         """Return the poses since the last call, at most at the given rate."""
         out = []
         for state in self.craft.fly():
             if state.t_ns - self._last_ns >= 0.9 * self._period_ns:
                 self._last_ns = state.t_ns
-                out.append(Pose(state.t_ns, state.position, state.quat_xyzw, state.velocity, state.spin))
+                out.append(state)
         return out
 
     def close(self) -> None:
@@ -322,7 +323,7 @@ class Helm:
             self._commanded = True
             self._vehicle.craft.ask(wish)
 
-    def fly(self) -> list[Pose]:
+    def fly(self) -> list[BodyState]:
         """Fly until now, send each pose to the controller and return the poses; none before a controller comes."""
         if not self._received_s and not self._link.connected:
             return []
@@ -354,15 +355,15 @@ class Flight:
 
     def __init__(self, helm: Helm, link: Link, *, take: Callable[[Packet], None], passing: Passing) -> None:
         self._helm, self._link, self._take, self._passing = helm, link, take, passing
-        self.inbox: Inbox[Pose] = Inbox(link.counters)
+        self.inbox: Inbox[BodyState] = Inbox(link.counters)
         self._ending = False
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="imc-flight", daemon=True)
         self._thread.start()
 
-    def poses(self, timeout_s: float) -> list[Pose]:
+    def poses(self, timeout_s: float) -> list[BodyState]:
         """Return the poses that wait, at most those of `PIECE_S`; wait for one until the timeout."""
-        found: list[Pose] = []
+        found: list[BodyState] = []
         while (pose := self.inbox.get(0.0 if found else timeout_s)) is not None:
             found.append(pose)
             if pose.t_ns - found[0].t_ns >= PIECE_S * 1e9:
@@ -391,5 +392,5 @@ class Flight:
         self._helm.close()
 
 
-def _path_of(poses: list[Pose]) -> Iterator[Trajectory]:
+def _path_of(poses: list[BodyState]) -> Iterator[Trajectory]:
     yield path_along(poses)

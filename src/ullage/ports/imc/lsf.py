@@ -7,21 +7,21 @@ import time
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
-from ullage.data import Frames, Trajectory, gathered
+from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.files import write_whole
-from ullage.grids import OccupancyMap
+from ullage.ports.geodetic import datum_of
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, Parser, encode, make
 from ullage.ports.imc.frames import BODY, MessageEncoder
-from ullage.ports.imc.options import LogOptions, LogSourceOptions, origin_of
+from ullage.ports.imc.options import LogOptions, LogSourceOptions
 from ullage.ports.imc.source import pieces
 from ullage.ports.imc.table import from_xml, own, to_xml
 from ullage.ports.imc.wires import Entity
 from ullage.ports.intake import Counters, warn
-from ullage.ports.protocol import Item, one_or_all
+from ullage.ports.protocol import Item, Recording, Sink
 
 AT_ONCE = 1 << 19
 STARTED, STOPPED = 1, 3
@@ -31,7 +31,7 @@ MOST_RATIO, MOST_UNPACKED = 200, 64 * 2**20
 """A packed log may grow to so many times its size, or to so many bytes; logs of vehicles grow 2 to 20 times."""
 
 
-class LsfSource:
+class LsfSource(Recording):
     """Reads a log.
 
     Args:
@@ -42,11 +42,13 @@ class LsfSource:
         InputError: it cannot be read, or holds no packet of IMC.
     """
 
+    holds = "DevDataBinary of ullage, or SonarData"
+
     def __init__(self, path: str | Path, options: LogSourceOptions | None = None) -> None:
-        self.path, self._options = Path(path), options or LogSourceOptions()
+        super().__init__(path)
+        self._options = options or LogSourceOptions()
         self._table = from_xml(self._options.xml) if self._options.xml else own()
         self._vehicle = self._options.vehicle or self._logger()
-        self._sensors: tuple[str, ...] | None = None
 
     def packets(self) -> Iterator[Packet]:
         """Every message, in order; what is damaged or cut is left out, with one warning at the end.
@@ -107,30 +109,12 @@ class LsfSource:
         return ""
 
     def _track(self, keep: int | None) -> Track:
-        origin = origin_of(self._options.origin)
+        origin = datum_of(self._options.origin, "origin") if self._options.origin else None
         counters = Counters(self._warn)
         return Track(counters, state=self._options.state, origin=origin, vehicle=self._vehicle, keep=keep)
 
     def _warn(self, text: str) -> None:
         warn(f"{self.path}: {text}")
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Names of the radars."""
-        if self._sensors is None:
-            self._sensors = tuple(dict.fromkeys(name for piece in self.stream(4096) for name in piece))
-        return self._sensors
-
-    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Everything of one sensor as Frames, or of several as a dict by name.
-
-        Raises:
-            InputError: no frames are there, or no such sensor.
-        """
-        whole = gathered(self.stream(4096))
-        if not whole:
-            raise InputError("no radar frames in it", where=self.path, allowed="DevDataBinary of ullage, or SonarData")
-        return one_or_all(whole, sensor)
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
@@ -155,12 +139,8 @@ class LsfSource:
             track.take(packet)
         return track.path()
 
-    def map(self) -> OccupancyMap | None:
-        """None: logs hold no maps."""
-        return None
 
-
-class LsfSink:
+class LsfSink(Sink):
     """Writes a log that DUNE's and Neptus' readers accept, with `IMC.xml.gz`, which tells its messages, beside it.
 
     Args:
@@ -235,9 +215,3 @@ class LsfSink:
             self._put(make("LoggingControl", op=STOPPED, name=self.path.parent.name or "log"), BODY)
         file, self._file = self._file, None
         file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import math
 import re
-from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
-from ullage.config import Fidelity, split_source
 from ullage.errors import InputError, shown
-from ullage.ports.geodetic import Geodetic
+from ullage.ports.cosimulation import SensingOptions
+from ullage.ports.geodetic import Geodetic, datum_of
 from ullage.ports.imc.geodetic import TRONDHEIM
 from ullage.ports.imc.table import Table, from_xml, own
-from ullage.ports.intake import LiveOptions
+from ullage.ports.live import point_of
 from ullage.specs import Spec
 
 PLACE = re.compile(r"(?:(tcp|udp)://([^/:\s]+)(?::(\d+))?/?)?")
 PLACES = "tcp://HOST:PORT (7001), udp://HOST:PORT (6002), or nothing: whoever announces itself"
 PORTS = {"tcp": 7001, "udp": 6002}
-Group = TypeVar("Group", bound=Spec)
 
 
 class LinkOptions(Spec):
@@ -35,6 +32,12 @@ class LinkOptions(Spec):
     )
     reconnect: bool = True
     xml: str = Field("", description="an IMC.xml, for messages that our table lacks")
+
+    @field_validator("system_id", mode="before")
+    @classmethod
+    def _hexadecimal(cls, value: Any) -> Any:
+        hexadecimal = isinstance(value, str) and re.fullmatch(r"0[xX][0-9a-fA-F]{1,8}", value)
+        return int(value, 16) if hexadecimal else value
 
     def table(self) -> Table:
         """The messages to speak."""
@@ -53,7 +56,7 @@ class PlaceOptions(LinkOptions):
         Raises:
             InputError: it is not two or three numbers within bounds.
         """
-        return origin_of(self.origin)
+        return datum_of(self.origin, "origin") if self.origin else None
 
     def entity_labels(self) -> dict[str, str]:
         """Label of each sensor that was given one."""
@@ -63,7 +66,7 @@ class PlaceOptions(LinkOptions):
         return {a.strip(): b.strip() for a, _, b in pairs}
 
 
-class SourceOptions(PlaceOptions, LiveOptions):
+class SourceOptions(PlaceOptions, SensingOptions):
     """Options of a source on the bus."""
 
     vehicle: str = Field(
@@ -73,12 +76,6 @@ class SourceOptions(PlaceOptions, LiveOptions):
     world: str = Field(
         "", description="a library world or a file: radars are simulated; none: recorded frames are taken"
     )
-    rig: str = "thesis-4"
-    fidelity: Fidelity = "physical"
-    max_bounces: int = Field(1, ge=1, le=3)
-    seed: int = 0
-    rate_hz: float | None = Field(None, gt=0, le=10_000)
-    duration_s: float | None = Field(None, gt=0)
     mission: str = Field(
         "", description="lead the vehicle along x,y,z;x,y,z... [m], or along the world's own waypoints: world"
     )
@@ -112,7 +109,7 @@ class SourceOptions(PlaceOptions, LiveOptions):
             if self.world not in WORLDS:
                 raise InputError("mission=world needs a world of the library", where="imc", allowed=", ".join(WORLDS))
             return [tuple(point[:3]) for point in WORLDS[self.world].path_xyzyaw]
-        return [numbers_of(part, "mission", (3,)) for part in self.mission.split(";") if part.strip()]
+        return [point_of(part, "mission", where="imc") for part in self.mission.split(";") if part.strip()]
 
 
 class MessageOptions(PlaceOptions):
@@ -152,56 +149,6 @@ class LogSourceOptions(Spec):
     xml: str = Field("", description="an IMC.xml, for messages that our table lacks")
 
 
-def numbers_of(text: str, name: str, counts: tuple[int, ...]) -> tuple[float, ...]:
-    """Numbers with commas between them.
-
-    Raises:
-        InputError: there are too many or too few, or one is no finite number.
-    """
-    allowed = f"{' or '.join(map(str, counts))} numbers, like 1,0,2"
-    try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"{name} is {text!r}", where="imc", allowed=allowed) from None
-    if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
-        raise InputError(f"{name} is {text!r}", where="imc", allowed=allowed)
-    return numbers
-
-
-def origin_of(text: str) -> Geodetic | None:
-    """The point that `LAT,LON` or `LAT,LON,HEIGHT` names; None where nothing is written.
-
-    Raises:
-        InputError: it is not two or three numbers within bounds.
-    """
-    if not text:
-        return None
-    try:
-        numbers = [float(part) for part in text.split(",")]
-        lat, lon, height = (*numbers, 0.0)[:3] if len(numbers) in (2, 3) else ()
-    except ValueError:
-        raise InputError(f"origin is {text!r}", where="imc", allowed="LAT,LON or LAT,LON,HEIGHT") from None
-    if not (abs(lat) <= 90 and abs(lon) <= 180 and abs(height) <= 1e5):
-        raise InputError(f"origin is {text!r}", where="imc", allowed="degrees, and metres over the ellipsoid")
-    return Geodetic.degrees(lat, lon, height)
-
-
-def options_of(group: type[Group], options: dict[str, Any]) -> Group:
-    """The options, checked.
-
-    Raises:
-        InputError: one is unknown, or a value is out of bounds.
-    """
-    if unknown := sorted(options.keys() - group.model_fields.keys()):
-        raise InputError(f"no option {unknown[0]!r}", where="imc", allowed=", ".join(group.model_fields))
-    fixed = {key: int(value, 16) if key == "system_id" and _hex(value) else value for key, value in options.items()}
-    return group(**fixed)
-
-
-def _hex(value: Any) -> bool:
-    return isinstance(value, str) and re.fullmatch(r"0[xX][0-9a-fA-F]{1,8}", value) is not None
-
-
 def endpoint(place: str) -> tuple[Literal["tcp", "udp", ""], str, int]:
     """Kind, host and port of a place.
 
@@ -213,14 +160,3 @@ def endpoint(place: str) -> tuple[Literal["tcp", "udp", ""], str, int]:
         raise InputError(f"{shown(place)} is no place", where="imc", allowed=PLACES)
     kind: Any = found[1] or ""
     return kind, found[2] or "", int(found[3] or PORTS.get(kind, 0))
-
-
-def scene_path(world: str) -> str:
-    """The file of a world by its library name or its path, with the arguments of xacro."""
-    from ullage.world.library import WORLDS
-
-    if world in WORLDS:
-        return str(WORLDS[world].path)
-    if not Path(split_source(world)[0]).exists():
-        raise InputError(f"no world {world!r}", where="imc", allowed=", ".join(WORLDS) + ", or a file")
-    return world

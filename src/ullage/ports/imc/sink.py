@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import Self
 
 from ullage.ports.imc.codec import readable
 from ullage.ports.imc.frames import BODY, MessageEncoder, TimedMessage
@@ -12,7 +11,7 @@ from ullage.ports.imc.options import SinkOptions
 from ullage.ports.imc.relay import Outgoing, RosToImc
 from ullage.ports.imc.wires import Entity, Identity
 from ullage.ports.intake import Log, warn
-from ullage.ports.protocol import Item, Passed
+from ullage.ports.protocol import Item, Passed, Sink
 
 FIRST_RELAYED, LAST_RELAYED = 100, 254
 """Entity numbers of relayed systems; radars have numbers from 10."""
@@ -20,7 +19,7 @@ EPOCH_S = 1e9
 """Times earlier than 2001 count from the start of a flight, not from 1970."""
 
 
-class ImcSink:
+class ImcSink(Sink):
     """Send frames, paths and passed-on messages on an IMC bus.
 
     Args:
@@ -84,9 +83,3 @@ class ImcSink:
     def close(self) -> None:
         """Send the queued messages, if the peer takes them, and close the sockets."""
         leave(self._link, "sink")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()

@@ -5,33 +5,32 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ullage.data import Frames, Trajectory, gathered
+from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
-from ullage.grids import OccupancyMap
+from ullage.ports.cosimulation import rig_of, world_of
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet
-from ullage.ports.imc.geodetic import TRONDHEIM, Pose
+from ullage.ports.imc.geodetic import TRONDHEIM
 from ullage.ports.imc.link import Link, Role, leave, open_link
-from ullage.ports.imc.options import SourceOptions, numbers_of, scene_path
+from ullage.ports.imc.options import SourceOptions
 from ullage.ports.imc.relay import passed
 from ullage.ports.imc.wires import Entity, Identity
 from ullage.ports.intake import PIECE_S, Covered, Inbox, Log, warn
-from ullage.ports.live import Address
-from ullage.ports.protocol import Passing, one_or_all
-from ullage.specs import Rig
-from ullage.world.scene import Scene
+from ullage.ports.live import Address, LiveSource, point_of
+from ullage.ports.pose_events import BodyState
 
 if TYPE_CHECKING:
     from ullage.ports.drone import Guided
     from ullage.ports.imc.backseat import Backseat
     from ullage.ports.imc.helm import Flight, Vehicle
+    from ullage.radar.live import LiveRadars
 
 
-class ImcSource:
+class ImcSource(LiveSource):
     """Receive frames from an IMC bus.
 
     With a world, the source simulates radars along the vehicle's poses. Without one, it takes the frames on the bus.
@@ -46,16 +45,16 @@ class ImcSource:
         InputError: the place or the world is not valid.
     """
 
+    where = "imc"
+
     def __init__(self, place: str, options: SourceOptions, *, log: Log = warn) -> None:
-        self._options, self._log = options, log
-        self.scene: Scene | None = None
-        self.home: Trajectory | None = None
-        self.passing = Passing()
-        self._radars: Any = None
+        super().__init__(log=log, lag_s=options.lag_s)
+        self._options = options
+        self._radars: LiveRadars | None = None
         self._seen: list[str] = []
-        self._behind = self._stopping = False
-        self.lag_s, self._limit_s, self._lost = options.lag_s, options.lag, 0
-        points, start = options.waypoints(), numbers_of(options.start, "start", (3, 4))
+        self._behind = False
+        self._limit_s, self._lost = options.lag, 0
+        points, start = options.waypoints(), point_of(options.start, "start", where=self.where, yaw=True)
         self._vehicle_s, self._frames_s = Covered(), Covered()
         if options.world:
             self._build()
@@ -72,15 +71,9 @@ class ImcSource:
 
     def _build(self) -> None:
         """Load the world and its radars."""
-        from ullage.radar.live import LiveRadars
-        from ullage.world.load import load_scene
-
-        o = self._options
-        self.scene = load_scene(scene_path(o.world))
-        self._radars = LiveRadars(
-            self.scene, Rig.preset(o.rig), fidelity=o.fidelity, max_bounces=o.max_bounces, seed=o.seed,
-            rate_hz=o.rate_hz,
-        )  # fmt: skip
+        options = self._options
+        self.scene = world_of(options.world, where=self.where)
+        self._radars = options.radars(self.scene, rig_of(options.rig, self.scene, "", where=self.where))
         self._seen = list(self._radars.sensors)
 
     @property
@@ -176,7 +169,7 @@ class ImcSource:
             for line in self.counters.lines():
                 self._log(line)
 
-    def _made(self, tracks: list[list[Pose]], received: bool) -> Iterator[dict[str, Frames]]:
+    def _made(self, tracks: list[list[BodyState]], received: bool) -> Iterator[dict[str, Frames]]:
         """Give the frames that are ready: simulated along the poses, or received."""
         if self._radars is None:
             if received:
@@ -187,16 +180,16 @@ class ImcSource:
                 self._radars.reset()
             if poses:
                 self._skip_lost(poses[0].t_ns)
-                yield self._simulated(poses)
+                yield self._simulated(self._radars, poses)
 
-    def _tracks(self) -> tuple[list[list[Pose]], bool]:
+    def _tracks(self) -> tuple[list[list[BodyState]], bool]:
         """Return the vehicle's next poses, one list for each track, and whether any message came."""
         if self._flight is not None:
             flown = self._flight.poses(0.25)
             self._track.poses.extend(flown)
             self._vehicle_s.take([pose.t_ns for pose in flown])
             return [flown], bool(flown)
-        tracks: list[list[Pose]] = [[]]
+        tracks: list[list[BodyState]] = [[]]
         received = False
         for packet in self._link.arriving(0.25):
             received = True
@@ -229,61 +222,28 @@ class ImcSource:
             at_ns = known[-1].t_ns if known else time.time_ns()
             self.passing.give(partial(passed, packet, at_ns, typed=self._options.typed))
 
-    @property
-    def _inbox(self) -> Inbox[Any]:
-        """The queue of poses that wait for frames."""
+    def _queue(self) -> Inbox[Any]:
         return self._link.events if self._flight is None else self._flight.inbox
 
     def _skip_lost(self, t_ns: int) -> None:
         """Leave out the frames along poses that were dropped because they waited too long."""
-        if (lost := self._inbox.lost) > self._lost:
+        if self._radars is not None and (lost := self._queue().lost) > self._lost:
             self._lost = lost
             count = self._radars.skip(t_ns)
             self.counters.drop("frames", "lost", f"more than {self._limit_s:g} s late", count=count)
 
-    def _simulated(self, poses: list[Pose]) -> dict[str, Frames]:
+    def _simulated(self, radars: LiveRadars, poses: list[BodyState]) -> dict[str, Frames]:
         began = time.monotonic()
-        out: dict[str, Frames] = self._radars.advance(
-            [p.t_ns for p in poses], [p.position for p in poses], [p.quat_xyzw for p in poses]
-        )
+        out = radars.advance([p.t_ns for p in poses], [p.position for p in poses], [p.quat_xyzw for p in poses])
         took, span = time.monotonic() - began, (poses[-1].t_ns - poses[0].t_ns) * 1e-9
         if span > 3.0 and took > span and not self._behind:
             self._behind = True
             self._log("the radars take longer than the flight; give rate_hz= or fidelity=thesis to keep up")
         return out
 
-    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Return all frames until the peer ends or `duration_s` is over.
-
-        Raises:
-            InputError: no frames came, or none of this sensor.
-        """
-        frames = gathered(self.stream())
-        if not frames:
-            raise InputError("no frames came", where="imc")
-        return one_or_all(frames, sensor)
-
     def trajectory(self) -> Trajectory | None:
         """Return the vehicle's path, as far as it is kept."""
         return self._track.path()
-
-    def map(self) -> OccupancyMap | None:
-        """None: the bus carries no maps."""
-        return None
-
-    @property
-    def behind_s(self) -> float:
-        """How long the oldest message waits already [s]."""
-        return self._inbox.behind_s
-
-    def keep_up(self, lag_s: float) -> None:
-        """From now on leave out what is later than this [s]."""
-        self._inbox.lag_s = self._limit_s = lag_s
-
-    def stop(self) -> None:
-        """End the stream after what has come so far; safe to call from another thread."""
-        self._inbox.lag_s = None
-        self._stopping = True
 
     def close(self) -> None:
         """Close sockets, end threads, and release a led vehicle."""
@@ -294,12 +254,6 @@ class ImcSource:
         leave(self._link, self._role)
         if self._radars is not None:
             self._radars.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def pieces(frames: dict[str, Frames], chunk: int) -> Iterator[dict[str, Frames]]:

@@ -12,14 +12,14 @@ from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
-from ullage.data import Frames, Trajectory, gathered
+from ullage.data import Frames, Trajectory
 from ullage.errors import DamageWarning, InputError, UllageWarning
 from ullage.geometry import matrix_quat
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions
 from ullage.ports import schema as ros
 from ullage.ports.conversions import Placement, stamp_ns
-from ullage.ports.protocol import one_or_all
+from ullage.ports.protocol import Recording
 from ullage.ports.replay import McapSource
 from ullage.ports.ros2.incoming import Incoming
 from ullage.ports.ros2.options import SourceOptions
@@ -95,7 +95,7 @@ class McapBag(Bag):
         return ((topic, data) for topic, _, data in McapSource(self.path).messages() if topic in chosen)
 
 
-class RosbagSource:
+class RosbagSource(Recording):
     """Source of frames, profiles or ranges in a bag, with poses from its transforms or odometry.
 
     Args:
@@ -114,7 +114,8 @@ class RosbagSource:
         self, path: Path, *, topics: str = "", odom: str = "", radar: str = "x4m05", world: str = "map",
         body: str = "base_link",
     ) -> None:  # fmt: skip
-        self.path, self._bag = path, Bag.of(path)
+        super().__init__(path)
+        self._bag = Bag.of(path)
         self._kinds = self._bag.kinds
         self._radars = self._wanted(topics)
         odometry = [name for name, kind in self._kinds.items() if kind == ros.ODOMETRY]
@@ -124,7 +125,6 @@ class RosbagSource:
             raise InputError(f"no Odometry on {odom}", where=path, allowed=", ".join(odometry) or "none is in the bag")
         poses: Any = "auto" if placed or self._odom else "message"
         self._options = SourceOptions(radar=radar, map=world, body=body, poses=poses, patience_s=60)
-        self._sensors: tuple[str, ...] | None = None
 
     def _wanted(self, topics: str) -> list[str]:
         """Return the topics of radars, by the option or by type."""
@@ -140,24 +140,6 @@ class RosbagSource:
             if found:
                 return found
         raise InputError("no radar frames, profiles or ranges in it", where=self.path, allowed=self._bag.listed())
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Names of the radars."""
-        if self._sensors is None:
-            self._sensors = tuple(dict.fromkeys(name for chunk in self.stream() for name in chunk))
-        return self._sensors
-
-    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Return all frames of one sensor, or of several as a dict by name.
-
-        Raises:
-            InputError: the bag gives no frames, or there is no such sensor.
-        """
-        whole = gathered(self.stream(4096))
-        if not whole:
-            raise InputError("no frames could be made of it", where=self.path)
-        return one_or_all(whole, sensor)
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """Give the frames in order of time, at most `chunk` of each sensor at once."""

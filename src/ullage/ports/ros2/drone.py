@@ -11,8 +11,9 @@ from ullage.flight.pilot import Velocity
 from ullage.geometry import rpy_quat
 from ullage.ports import schema as ros
 from ullage.ports.conversions import stamp_ns
-from ullage.ports.drone import DroneOptions, DroneState, TopicDrone
+from ullage.ports.drone import DroneOptions, TopicDrone
 from ullage.ports.intake import Counters, Inbox
+from ullage.ports.pose_events import BodyState
 from ullage.ports.publisher import Message
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions
@@ -50,7 +51,7 @@ class RosDrone(TopicDrone):
         while (data := self._inbox.get(0.0)) is not None:
             yield data
 
-    def _state(self, data: bytes) -> DroneState | str:
+    def _state(self, data: bytes) -> BodyState | str:
         message = ros.from_bytes(ros.ODOMETRY, data)
         self._frame = message.header.frame_id or "odom"
         return self._state_of(stamp_ns(message.header), message.pose.pose, message.twist.twist)

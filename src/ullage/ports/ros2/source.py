@@ -5,19 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any, Self
+from typing import Any
 
-from ullage.data import Frames, gathered
+from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.ports import encode
 from ullage.ports import schema as ros
-from ullage.ports.intake import PATIENCE_S, Inbox, Log, warn
-from ullage.ports.protocol import Passed, Passing, Source, one_or_all
+from ullage.ports.intake import PATIENCE_S, Inbox, Log
+from ullage.ports.live import LiveSource
+from ullage.ports.protocol import Passed
 from ullage.ports.publisher import on
 from ullage.ports.ros2.incoming import Incoming
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import SourceOptions
-from ullage.world.scene import Scene
 
 SEARCH_S = 0.5
 """How often the graph is asked for new topics [s]."""
@@ -27,7 +27,7 @@ RELAYED = ("imc/", "to_imc/", "desired/")
 """Beneath the namespace: what is passed on as it comes."""
 
 
-class Ros2Source(Source):
+class Ros2Source(LiveSource):
     """Source of frames from the radars on a ROS 2 network.
 
     Args:
@@ -41,19 +41,19 @@ class Ros2Source(Source):
         MissingExtra: there is no rclpy.
     """
 
+    where = "ros2:"
+
     def __init__(
         self, namespace: str, options: SourceOptions, *, log: Log | None = None, peer: Peer | None = None
     ) -> None:
-        self.scene: Scene | None = None
-        self.passing = Passing()
-        self._options, self._log, self._logged_s = options, log or warn, dict[str, float]()
+        super().__init__(log=log, lag_s=options.lag_s)
+        self._options = options
         self._incoming = Incoming(options, self._log_throttled)
         self._peer = peer or Peer(namespace, options)
         self._namespace = "/" + namespace.strip("/")
-        self.lag_s = options.lag_s
         self._inbox: Inbox[tuple[str, Callable[..., None], tuple[Any, ...]]] = Inbox(self._incoming.counters)
         self._subscribed: set[str] = set()
-        self._closed = self._stopping = self._passed = False
+        self._closed = self._passed = False
         self._first_ns: int | None = None
         self._last_ns = 0
         self._searched_s = self._reported_s = 0.0
@@ -95,43 +95,16 @@ class Ros2Source(Source):
                 self._log(line)
             self.close()
 
-    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Return all frames until the requested end.
+    def _without_end(self) -> str:
+        return "duration_s=, idle_s=" if self._options.duration_s is None and self._options.idle_s is None else ""
 
-        Raises:
-            InputError: no end was requested, nothing came, or there is no such sensor.
-        """
-        if self._options.duration_s is None and self._options.idle_s is None:
-            raise InputError("a live port has no end", where="ros2:", allowed="duration_s=, idle_s=, or stream()")
-        whole = gathered(self.stream())
-        if not whole:
-            raise InputError("no frames came", where="ros2:")
-        return one_or_all(whole, sensor)
-
-    def keep_up(self, lag_s: float) -> None:
-        """From now on leave out what is later than this [s]."""
-        self._inbox.lag_s = lag_s
-
-    def stop(self) -> None:
-        """End a stream that runs in another thread, after what has come so far."""
-        self._inbox.lag_s = None
-        self._stopping = True
+    def _queue(self) -> Inbox[Any]:
+        return self._inbox
 
     def close(self) -> None:
         """Leave the network."""
         self._closed = True
         self._peer.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-    @property
-    def behind_s(self) -> float:
-        """How long the oldest message waits already [s]."""
-        return self._inbox.behind_s
 
     def _taker(self, topic: str, take: Callable[..., None], *first: Any, kept: bool = False) -> Callable[[bytes], None]:
         """Return a callback that passes messages from rclpy's thread to the stream's; kept ones may wait for long."""
@@ -239,10 +212,3 @@ class Ros2Source(Source):
         t_ns = time.time_ns()
         data = encode.diagnostics_message(t_ns, level, f"{self._options.node}: source", text, values)
         self._peer.send(on("/diagnostics", t_ns, data))
-
-    def _log_throttled(self, text: str) -> None:
-        """Log a line, the same one at most once every few seconds."""
-        now = time.monotonic()
-        if now - self._logged_s.get(text, -PATIENCE_S) >= PATIENCE_S:
-            self._logged_s[text] = now
-            self._log(text)
