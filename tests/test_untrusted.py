@@ -264,7 +264,7 @@ def test_headers_that_promise_200_gib_are_refused(reader: str, tmp_path: Path) -
 def test_a_chunk_that_unpacks_to_more_than_it_promises_is_left_out(tmp_path: Path) -> None:
     import zstandard
 
-    from ullage.ports.chunks import MOST_CHUNK_BYTES, unpacked
+    from ullage.ports.replay import MOST_CHUNK_BYTES, unpacked
 
     bomb = zstandard.compress(bytes(50_000_000))
     with pytest.raises(ValueError, match="does not hold"):

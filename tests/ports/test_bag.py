@@ -22,7 +22,7 @@ import ullage as ul
 from ullage.data import Calibration, joined
 from ullage.ports import conversions
 from ullage.ports import schema as ros
-from ullage.ports.chunks import chunk_records
+from ullage.ports.replay import chunk_records
 from ullage.ports.schema import topic_name
 
 

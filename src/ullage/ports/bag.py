@@ -9,7 +9,6 @@ import fcntl
 import signal
 import threading
 import time
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -19,10 +18,11 @@ from types import FrameType
 from typing import Any
 
 from ullage.data import Detections, Frames, Trajectory
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.files import write_whole
 from ullage.grids import Image, OccupancyMap
 from ullage.ports import schema as ros
+from ullage.ports.intake import Once
 from ullage.ports.protocol import Item, Passed, Sink
 from ullage.ports.publisher import Message, Publisher, Role
 from ullage.ports.schema import QUALITIES, Quality
@@ -124,7 +124,7 @@ class McapSink(Sink):
         self._publisher = Publisher(profile=profile)
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._left_out: set[str] = set()
+        self._once = Once()
         self._topics = Topics()
         self._flushed_ns = -1
         self._flushed_s = time.monotonic()
@@ -161,13 +161,6 @@ class McapSink(Sink):
             self._topics.kinds[topic], self._topics.offered[topic] = kind, offered
         return self._channels[topic]
 
-    def _leave_out(self, topic: str, kind: str) -> None:
-        """Warn once that a topic of a type without a known definition is not recorded; other sinks still get it."""
-        if topic not in self._left_out:
-            self._left_out.add(topic)
-            text = f"{topic} is not recorded: the definition of {kind} is unknown"
-            warnings.warn(text, UllageWarning, stacklevel=2)
-
     def _put(self, messages: list[Message]) -> None:
         with self._saying_when_full():
             for message in messages:
@@ -178,8 +171,8 @@ class McapSink(Sink):
     def _add(self, message: Message) -> None:
         topic, t_ns = "/" + message.topic.lstrip("/"), message.t_ns
         if message.quality == "relayed" and not ros.knows(message.kind):
-            self._leave_out(topic, message.kind)
-            return
+            self._once(f"{topic} is not recorded: the definition of {message.kind} is unknown")
+            return  # other sinks still get it
         channel = self._channel(topic, message.kind, message.quality)
         if self._topics.first_ns is None:
             self._flushed_ns = t_ns

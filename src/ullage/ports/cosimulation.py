@@ -383,6 +383,18 @@ def rig_of(name: str, scene: Scene, model: str, *, where: str) -> Rig:
     return load_scene(name).rig(model)
 
 
+def world_and_rig(world: str, options: SensingOptions, *, where: str) -> tuple[Scene, Rig]:
+    """Return a world without the model that carries radars, and those radars: the model named, or the first with some.
+
+    Raises:
+        InputError: there is no such world, rig or file.
+    """
+    scene = world_of(world, where=where)
+    model = getattr(options, "model", "") or next(iter(scene.rigs), "")
+    rig = rig_of(options.rig, scene, model, where=where)
+    return scene.without(model) if model in scene.rigs else scene, rig
+
+
 def radar_of(rig: Rig, name: str) -> RadarSpec:
     """Return the radar of this name, or the first one; a ray sensor takes its range axis and noise."""
     return rig.sensors.get(name) or next(iter(rig.sensors.values()))

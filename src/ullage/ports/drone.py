@@ -18,7 +18,7 @@ from ullage.arrays import Floats
 from ullage.flight.live import Wish
 from ullage.flight.pilot import HOVER, Velocity
 from ullage.geometry import quat_matrix, quat_rpy
-from ullage.ports.intake import Counters, Log, checked_pose
+from ullage.ports.intake import Counters, Log, Once, checked_pose
 from ullage.ports.pose_events import BodyState
 from ullage.ports.publisher import is_present
 from ullage.specs import Spec
@@ -152,13 +152,13 @@ class Guided:
         now: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
         self._drone, self._takes, self._limits, self._log, self._now = drone, takes, limits, log, now
+        self._once = Once(log)
         self.wish = Wish()
         self._asked = self._stale = False
         self._state: BodyState | None = None
         self._fresh_s = self._due_s = self._last_s = -math.inf
         self._step_s = COMMAND_S  # since the command before [s]
         self._reference: Floats | None = None  # the set-point that a velocity moves
-        self._force_said = False
 
     @property
     def position(self) -> Floats | None:
@@ -168,9 +168,7 @@ class Guided:
     def ask(self, wish: Wish) -> None:
         """Change the request; forces cannot be commanded and are left out."""
         if wish.force_n is not None:
-            if not self._force_said:
-                self._force_said = True
-                self._log("the drone takes no forces: DesiredControl is left out")
+            self._once("the drone takes no forces: DesiredControl is left out")
             return
         if not self._asked and self._state is not None:
             here, yaw = self._state.position, float(quat_rpy(self._state.quat_xyzw)[2])

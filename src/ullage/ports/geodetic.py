@@ -69,6 +69,10 @@ class Geodetic:
         return np.asarray((earth - self.earth_centred) @ self.earth_from_ned @ SWAP.T)
 
 
+TRONDHEIM = Geodetic.degrees(63.4185, 10.4009)
+"""Origin of a world without a geodetic place: the campus of the thesis."""
+
+
 def datum_of(text: object, option: str = "datum") -> Geodetic:
     """The place in `latitude,longitude` or `latitude,longitude,height` [deg, m] that an option gives.
 

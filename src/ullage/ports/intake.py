@@ -53,6 +53,8 @@ UNIT_TOLERANCE = 0.01
 """How far the squared norm of a quaternion may be from 1, as in tf2."""
 MOST_CAUSES, MOST_LETTERS = 3, 120
 """Causes that are kept of each topic and reason, and their length."""
+MOST_KINDS = 256
+"""Kinds of lines that `Once` tells apart; further ones are not logged."""
 MOST_STEPS = 10
 """Steps of a clock that are reported as they come; later ones at the rate of other reports."""
 REPORT_S = 5.0
@@ -80,6 +82,27 @@ class LiveOptions(Spec):
 def warn(text: str) -> None:
     """Issue a warning: what a port logs to where the caller gives no log."""
     warnings.warn(text, UllageWarning, stacklevel=3)
+
+
+class Once:
+    """Logs a line of each kind once; memory is bounded whatever a stranger sends.
+
+    Args:
+        log: takes the lines.
+    """
+
+    def __init__(self, log: Log = warn) -> None:
+        self._log, self._kinds = log, set[str]()
+
+    def __call__(self, text: str, *, kind: str = "") -> None:
+        """Log a line, unless one of its kind was logged before; each text is a kind of its own unless named."""
+        if (kind or text) not in self._kinds and len(self._kinds) < MOST_KINDS:
+            self._kinds.add(kind or text)
+            self._log(text)
+
+    def again(self, kind: str) -> None:
+        """Let a kind be logged once more."""
+        self._kinds.discard(kind)
 
 
 class _Entry(NamedTuple):
@@ -566,6 +589,13 @@ class Inbox(Generic[ItemT]):
     def _drop(self, found: _Waiting[ItemT], cause: str) -> None:
         self.lost += found.number
         self._counters.drop(found.topic, "lost", cause, count=found.number)
+
+    def clear(self) -> None:
+        """Forget what waits."""
+        with self._changed:
+            self._first.clear()
+            self._waiting.clear()
+            self._bytes = 0
 
     def __len__(self) -> int:
         return len(self._first) + len(self._waiting)

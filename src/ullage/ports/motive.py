@@ -16,6 +16,7 @@ from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.ports.protocol import mend_clock
+from ullage.untrusted import reading
 
 LENGTHS = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3, "inches": 0.0254, "feet": 0.3048}
 WANTED = tuple([("Rotation", axis) for axis in "XYZW"] + [("Position", axis) for axis in "XYZ"])
@@ -31,10 +32,8 @@ def read_tracks(path: str | Path) -> dict[str, Trajectory]:
         InputError: it is no Motive export that can be used, or no rigid body was seen in it.
     """
     path = Path(path)
-    try:
+    with reading(path):
         lines = path.read_text("utf-8-sig", errors="replace").splitlines()
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", where=path) from None
     start = next((i for i, line in enumerate(lines[:50]) if line.startswith("Frame,")), None)
     if not start:  # none, or without the lines above it
         raise InputError("no line that starts with Frame,Time", where=path, allowed="a Motive .csv export")

@@ -17,7 +17,7 @@ from ullage.arrays import Bools, Floats, Longs
 from ullage.errors import InputError, UllageWarning
 from ullage.files import write_whole
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
-from ullage.untrusted import MOST_CELLS
+from ullage.untrusted import MOST_CELLS, reading
 
 DEPTH = 16
 CENTRE = 1 << (DEPTH - 1)
@@ -160,10 +160,8 @@ def read_octomap(path: str | Path) -> OccupancyMap:
         InputError: it is neither, cut, or too large to lay out as an array.
     """
     path = Path(path)
-    try:
+    with reading(path):
         raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", where=path) from None
     head, found, body = raw[:4096].partition(b"\ndata\n")
     words = dict(line.split(" ", 1) for line in head.decode("latin1").splitlines() if " " in line and line[0] != "#")
     if not (found and raw.startswith(b"# Octomap OcTree")):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from ullage.arrays import Floats
@@ -17,7 +18,7 @@ from ullage.errors import InputError, UllageWarning
 from ullage.files import write_whole
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
 from ullage.specs import Spec
-from ullage.untrusted import MOST_CELLS, reason
+from ullage.untrusted import MOST_CELLS, reading, reason
 from ullage.world.meshes import check_ply
 
 TAG = "comment ullage grid "
@@ -52,10 +53,7 @@ def write_ply(omap: OccupancyMap, path: str | Path, *, normals: Floats | None = 
     points["occupied"] = omap.percent[omap.occupied]
     origin = [value if math.isfinite(value) else None for value in omap.grid.origin_m]
     about = {"origin_m": origin, "step_m": omap.grid.step_m, "shape": omap.grid.shape, "method": omap.method}
-    # not by trimesh: its PLY export writes no comment of ours, and the grid lies in one
-    head = ["ply", "format binary_little_endian 1.0", TAG + json.dumps(about), f"element vertex {len(cells)}"]
-    head += [f"property float {name}" for name in names] + ["property uchar occupied", "end_header", ""]
-    write_whole(Path(path), lambda out: out.write("\n".join(head).encode() + points.tobytes()))
+    _write(path, points, [TAG + json.dumps(about)])
 
 
 def write_surfaces(omap: OccupancyMap, path: str | Path) -> None:
@@ -84,9 +82,15 @@ def write_surfaces(omap: OccupancyMap, path: str | Path) -> None:
                 part[name] = value
         part["log_odds"], part["surface"] = one.log_odds, number
         start += one.seen
-    head = ["ply", "format binary_little_endian 1.0"]
-    head += [f"comment surface {number} {one.kind}" for number, one in shown] + [f"element vertex {len(points)}"]
-    head += [f"property float {name}" for name in names] + ["property int surface", "end_header", ""]
+    _write(path, points, [f"comment surface {number} {one.kind}" for number, one in shown])
+
+
+def _write(path: str | Path, points: NDArray[np.void], comments: list[str]) -> None:
+    """Write points as binary PLY; not by trimesh, whose export writes no comment of ours."""
+    kinds = {"<f4": "float", "<i4": "int", "|u1": "uchar"}
+    head = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {len(points)}"]
+    head += [f"property {kinds[points.dtype[name].str]} {name}" for name in points.dtype.names or ()]
+    head += ["end_header", ""]
     write_whole(Path(path), lambda out: out.write("\n".join(head).encode() + points.tobytes()))
 
 
@@ -103,7 +107,8 @@ def read_ply(path: str | Path, *, step_m: float | None = None) -> OccupancyMap:
     import trimesh
 
     path = Path(path)
-    raw = _bytes(path)
+    with reading(path):
+        raw = path.read_bytes()
     about = _grid_in(raw, path)
     try:
         check_ply(raw, path)
@@ -134,13 +139,6 @@ def read_ply(path: str | Path, *, step_m: float | None = None) -> OccupancyMap:
         )
     percent[tuple(cells[inside].T)] = 100
     return OccupancyMap(grid, percent, about.method if about else "ply")
-
-
-def _bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", where=path) from None
 
 
 class GridComment(Spec):

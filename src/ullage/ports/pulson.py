@@ -55,10 +55,8 @@ def read_log(path: str | Path) -> Log:
         InputError: it is no such log, or holds no scan.
     """
     path = Path(path)
-    try:
+    with reading(path):
         raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", where=path) from None
     at, front = MESSAGES.get(int.from_bytes(raw[:2], "big"), (0, CONFIG.size))
     if len(raw) < front + PACKET.itemsize:
         raise InputError(f"{len(raw)} bytes hold no scan", where=path, allowed="a PulsON 440 MRM log")

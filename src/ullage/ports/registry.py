@@ -44,6 +44,7 @@ FILES = {
     ".bag": ("ros2.bags", "RosbagSource"),
     ".db3": ("ros2.bags", "RosbagSource"),
 }
+OWN_SINKS = {".zarr": ("store", "ZarrSink"), ".mcap": ("bag", "McapSink"), "folder": ("bag", "McapSink")}
 RADARS = (".out", ".npz", ".mat", ".h5", ".dat", ".json")
 """Kinds of `radar.*` in a folder with a track."""
 BESIDE = ("track", "topic", "datum", "mount")
@@ -147,31 +148,42 @@ def sink(target: str | Path, **options: Any) -> Sink:
         InputError: it is of unknown kind, or cannot be written.
     """
     path = _path_of(target, SINKS)
-    kind = path.suffix.lower()
-    address = Address.of(target, **options)
-    if address and address.known:
+    if address := Address.of(target, **options):
+        if not address.known:
+            raise InputError("not something to write to", where=target, allowed=SINKS)
         return address.sink()
-    if address:
-        raise InputError("not something to write to", where=target, allowed=SINKS)
     check_beside(path)
-    if kind in MAPS:
+    kind = _kind_of_sink(path)
+    if kind == "map":
         return MapSink(path, **options)
-    if path.name.lower().endswith(LOGS):
+    if kind == "log":
         from ullage.ports.imc.port import write_log
 
         return write_log(path, options)
-    if kind == ".zarr":
-        from ullage.ports.store import ZarrSink
+    if kind in OWN_SINKS:
+        module, name = OWN_SINKS[kind]
+        return with_options(getattr(importlib.import_module(f"ullage.ports.{module}"), name), path, options)
+    writer: Any = plugins.load("ullage.sinks", kind)
+    added: Sink = with_options(writer, path, options)
+    return added
 
-        return with_options(ZarrSink, path, options)
-    if kind == ".mcap" or (not kind and not path.is_file()) or path.is_dir():
-        from ullage.ports.bag import McapSink
 
-        return with_options(McapSink, path, options)
-    writer: Callable[..., Sink] | None = plugins.load("ullage.sinks", kind)
-    if writer is not None:
-        return with_options(writer, path, options)
-    raise InputError("not something to write to", where=target, allowed=_with_added(SINKS, "ullage.sinks"))
+def _kind_of_sink(path: Path) -> str:
+    """Return map, log, folder, or the suffix of a file that is written.
+
+    Raises:
+        InputError: nothing writes files of this kind.
+    """
+    suffix = path.suffix.lower()
+    if suffix in MAPS:
+        return "map"
+    if path.name.lower().endswith(LOGS):
+        return "log"
+    if suffix != ".zarr" and (path.is_dir() or (not suffix and not path.is_file())):
+        return "folder"
+    if suffix in OWN_SINKS or suffix in plugins.names("ullage.sinks"):
+        return suffix
+    raise InputError("not something to write to", where=path, allowed=_with_added(SINKS, "ullage.sinks"))
 
 
 def check_sink(target: str | Path) -> None:
@@ -182,7 +194,6 @@ def check_sink(target: str | Path) -> None:
         MissingExtra: its library is not installed.
     """
     path = _path_of(target, SINKS)
-    kind = path.suffix.lower()
     if address := Address.of(target):
         if not address.known:
             raise InputError("not something to write to", where=target, allowed=SINKS)
@@ -190,18 +201,14 @@ def check_sink(target: str | Path) -> None:
             address.port()
         for library in NEEDED.get(address.scheme, ()):
             need(library, extra=address.scheme)
-    elif kind in MAPS:
+        return
+    kind = _kind_of_sink(path)
+    if kind == ".zarr":
+        need("zarr", extra="zarr")
+    if kind == "map":
         check_beside(path)  # a map replaces the one before
-    elif kind in {".mcap", ".zarr"} or path.name.lower().endswith(LOGS):
-        if kind == ".zarr":
-            need("zarr", extra="zarr")
-        check_new(path)
-    elif path.is_dir() or (not kind and not path.is_file()):
-        check_new(path / "frames.mcap" if path.is_dir() else path)
-    elif kind in plugins.names("ullage.sinks"):
-        check_new(path)
     else:
-        raise InputError("not something to write to", where=target, allowed=_with_added(SINKS, "ullage.sinks"))
+        check_new(path / "frames.mcap" if path.is_dir() and kind == "folder" else path)
 
 
 def check_new(path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ullage.arrays import Floats
 from ullage.errors import InputError
+from ullage.untrusted import reading
 
 PLACE = ("x_m", "y_m", "z_m")
 COLUMNS = "columns x_m, y_m, z_m and, if wanted, name"
@@ -34,10 +35,8 @@ def read_survey(path: str | Path) -> Survey:
         InputError: a column is missing, a cell is no finite number within 10 km, a place comes twice, or there is none.
     """
     path = Path(path)
-    try:
+    with reading(path):
         lines = path.read_text("utf-8-sig", errors="replace").splitlines()
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", where=path, allowed=COLUMNS) from None
     rows = [
         (number, [cell.strip() for cell in cells])
         for number, cells in enumerate(csv.reader(lines, skipinitialspace=True), 1)

@@ -22,6 +22,7 @@ from ullage.errors import InputError, UllageWarning
 from ullage.ports.intake import Counters, checked_pose, warn
 from ullage.ports.motive import read_tracks
 from ullage.ports.protocol import mend_clock
+from ullage.untrusted import reading
 
 KINDS = "a Motive export, a TUM or EuRoC trajectory, or a CSV with columns t_s, x_m, y_m, z_m, qx, qy, qz, qw"
 PLACE, TURN = ("x_m", "y_m", "z_m"), ("qx", "qy", "qz", "qw")
@@ -39,10 +40,8 @@ def read_bodies(path: str | Path) -> dict[str, Trajectory]:
         InputError: the file is of no known kind, holds no pose, or a line of it cannot be read.
     """
     path = Path(path)
-    try:
+    with reading(path):
         lines = path.read_text("utf-8-sig", errors="replace").splitlines()
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", where=path, allowed=KINDS) from None
     if not any(line.strip() for line in lines):
         raise InputError("the file is empty", where=path, allowed=KINDS)
     if any(line.startswith("Frame,") for line in lines[:50]) or lines[0].startswith("Format Version"):

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from ullage.geometry import matrix_quat, quat_matrix, quat_rpy, rpy_quat
 from ullage.ports.geodetic import Geodetic
-from ullage.ports.imc.geodetic import pose_of, state_of
+from ullage.ports.imc.assemble import pose_of
+from ullage.ports.imc.frames import state_of
 from ullage.ports.imc.table import own
 from ullage.ports.pose_events import BodyState
 

@@ -15,14 +15,14 @@ import numpy as np
 from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory, joined
 from ullage.errors import InputError
-from ullage.geometry import C0
+from ullage.geometry import C0, matrix_quat, quat_matrix, rpy_quat
 from ullage.ports import conversions
 from ullage.ports import schema as ros
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import Packet, readable
 from ullage.ports.imc.frames import carried, mount_of, profile_of
-from ullage.ports.imc.geodetic import pose_of
-from ullage.ports.intake import Clock, Counters, Log, Place, PoseQueue, Stamped, Stream
+from ullage.ports.intake import Clock, Counters, Log, Once, Place, PoseQueue, Stamped, Stream
+from ullage.ports.ned import FLIP, SWAP
 from ullage.ports.pose_events import BodyState, path_along
 from ullage.specs import MountSpec, RadarSpec
 
@@ -43,6 +43,33 @@ def wrong_state(values: Mapping[str, float]) -> str:
     if max(abs(values[name]) for name in ("height", "x", "y", "z")) > FARTHEST_M:
         return f"more than {FARTHEST_M / 1000:g} km from its reference"
     return ""
+
+
+def pose_of(state: Mapping[str, Any], t_ns: int, origin: Geodetic) -> BodyState:
+    """Return the pose of an EstimatedState or SimulatedState in the world with this origin.
+
+    IMC gives a place as a reference on the ellipsoid and an offset in the plane that touches it there. References
+    differ between systems and change in flight, so offsets are carried over exactly, through earth-centred coordinates.
+    """
+    here = Geodetic(state["lat"], state["lon"], state["height"])
+    offset = np.array([state["x"], state["y"], state["z"]], float)
+    if here == origin:
+        turn, place = np.eye(3), offset
+    else:
+        turn = origin.earth_from_ned.T @ here.earth_from_ned
+        place = origin.earth_from_ned.T @ (here.earth_centred - origin.earth_centred) + turn @ offset
+    ned_from_frd = quat_matrix(rpy_quat(state["phi"], state["theta"], state["psi"]))
+    if "vx" in state:
+        velocity = turn @ np.array([state["vx"], state["vy"], state["vz"]], float)
+    else:
+        velocity = turn @ ned_from_frd @ np.array([state["u"], state["v"], state["w"]], float)
+    return BodyState(
+        t_ns,
+        SWAP @ place,
+        matrix_quat(SWAP @ turn @ ned_from_frd @ FLIP),
+        SWAP @ velocity,
+        FLIP @ np.array([state["p"], state["q"], state["r"]], float),
+    )
 
 
 @dataclass(slots=True)
@@ -147,11 +174,10 @@ class FrameAssembler:
     """
 
     def __init__(self, track: Track, log: Log | None = None, *, labels: dict[Part, str] | None = None) -> None:
-        self._track, self._log, self._labels = track, log or track.counters.log, labels or {}
+        self._track, self._once, self._labels = track, Once(log or track.counters.log), labels or {}
         self._counters = track.counters
         self._sensors: dict[Part, _Sensor] = {}
         self._clocks: dict[int, Clock] = {}  # clocks of exact frames, by system
-        self._reported: set[Part] = set()
 
     def take(self, packet: Packet) -> bool:
         """Store the radar data of a message; return whether it is a frame."""
@@ -290,9 +316,8 @@ class FrameAssembler:
             sensor.profiles.clear("the range was changed")
         sensor.axis = axis
         sensor.profiles.put((round(packet.t_s * 1e9), axis, values), time.monotonic())
-        if part not in self._reported:
-            self._reported.add(part)
-            self._log(f"{self.label(part)}: only profiles come of it, without phase: detections and maps, no images")
+        text = f"{self.label(part)}: only profiles come of it, without phase: detections and maps, no images"
+        self._once(text, kind=f"{part}")
 
     def label(self, part: Part) -> str:
         """Return the name of a part of a system, or `entityN`."""

@@ -8,7 +8,6 @@ of a ROS 2 message, a zero, and that message in CDR, as recordings have it.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -17,16 +16,16 @@ import numpy as np
 
 from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
-from ullage.errors import UllageWarning
-from ullage.geometry import invert, matrix_quat, quat_rpy, transform
+from ullage.geometry import invert, matrix_quat, quat_matrix, quat_rpy, transform
 from ullage.ports import conversions
 from ullage.ports import schema as ros
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import MOST, Message, make
-from ullage.ports.imc.geodetic import poses_along, state_of
 from ullage.ports.imc.options import MessageOptions
 from ullage.ports.imc.wires import Entity
-from ullage.ports.ned import FLIP
+from ullage.ports.intake import Once
+from ullage.ports.ned import FLIP, SWAP
+from ullage.ports.pose_events import BodyState
 from ullage.ports.protocol import Item
 from ullage.specs import MountSpec, RadarSpec
 
@@ -137,6 +136,28 @@ def carried(value: bytes) -> tuple[str, bytes] | None:
     return (kind, value[len(name) + 1 :]) if zero and kind in CARRIED and rest else None
 
 
+def state_of(pose: BodyState, origin: Geodetic) -> dict[str, float]:
+    """Return the fields of an EstimatedState for a pose; altitude is the height over the world's z = 0."""
+    ned_from_frd = SWAP @ quat_matrix(pose.quat_xyzw) @ FLIP
+    phi, theta, psi = (float(a) for a in quat_rpy(matrix_quat(ned_from_frd)))
+    x, y, z = (float(v) for v in SWAP @ pose.position)
+    vx, vy, vz = (float(v) for v in SWAP @ pose.velocity)
+    u, v, w = (float(k) for k in ned_from_frd.T @ (SWAP @ pose.velocity))
+    p, q, r = (float(k) for k in FLIP @ pose.spin)
+    return {
+        "lat": origin.lat_rad, "lon": origin.lon_rad, "height": origin.height_m, "x": x, "y": y, "z": z,
+        "phi": phi, "theta": theta, "psi": psi, "u": u, "v": v, "w": w, "vx": vx, "vy": vy, "vz": vz,
+        "p": p, "q": q, "r": r, "depth": -1.0, "alt": float(pose.position[2]),
+    }  # fmt: skip
+
+
+def poses_along(path: Trajectory) -> list[BodyState]:
+    """Return each sample of a trajectory as a pose."""
+    velocity, spin = path.rates
+    columns = zip(path.t_ns, path.position, path.quat_xyzw, velocity, spin, strict=True)
+    return [BodyState(int(t), *rest) for t, *rest in columns]
+
+
 class TimedMessage(NamedTuple):
     """A message with its time and entity."""
 
@@ -160,7 +181,7 @@ class MessageEncoder:
         self._entity: dict[str, int] = {}
         self._count: dict[str, int] = {}
         self._settled: dict[str, int] = {}
-        self._reported: set[str] = set()
+        self._once = Once()
 
     def messages(self, item: Item) -> list[TimedMessage]:
         """Return the messages of frames, of a chunk of frames, or of the body's path; other items give none."""
@@ -197,11 +218,7 @@ class MessageEncoder:
         self._count[name] = start + len(frames)
         messages = exact(frames, start, truth=self._options.truth)
         if not messages:
-            if name not in self._reported:
-                self._reported.add(name)
-                warnings.warn(
-                    f"{name}: a frame is too long for a packet of IMC; only profiles go", UllageWarning, stacklevel=5
-                )
+            self._once(f"{name}: a frame is too long for a packet of IMC; only profiles go")
             return []
         out = self._each(entity, frames, messages)
         first = int(frames.t_ns[0])

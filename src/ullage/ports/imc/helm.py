@@ -20,9 +20,9 @@ from ullage.flight.live import Steered, Wish
 from ullage.ports.drone import Guided
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import NOBODY, Message, Packet, make
-from ullage.ports.imc.geodetic import state_of
+from ullage.ports.imc.frames import state_of
 from ullage.ports.imc.link import Link
-from ullage.ports.intake import PIECE_S, Inbox, Log
+from ullage.ports.intake import PIECE_S, Inbox, Log, Once
 from ullage.ports.ned import SWAP
 from ullage.ports.pose_events import BodyState, path_along
 from ullage.ports.protocol import Passing
@@ -34,8 +34,12 @@ SURGE, SWAY, HEAVE, YAW = 1, 2, 4, 32
 FROM_START, NO_Z = 1, 4
 AT_PLACE, AT_SPEED, AT_Z = 1, 2, 4
 REQUEST, SUCCESS, FAILURE = 0, 1, 2
-EXECUTE, STOP_MANEUVER = 0, 1
 START, STOP = 0, 1
+REQUESTS = {
+    "VehicleCommand": ("maneuver", "command", "request_id", "calib_time"),
+    "PlanControl": ("arg", "op", "request_id", "plan_id", "flags"),
+}
+"""Messages that ask for a maneuver: its field, the field that starts or stops it, and further fields of the answer."""
 BRAKES = 1
 PLACES = ("Goto", "Loiter", "StationKeeping", "StationKeepingExtended", "Takeoff")
 """Maneuvers that go to a place and hover there."""
@@ -69,8 +73,7 @@ class Commands:
     """
 
     def __init__(self, craft: Craft, origin: Geodetic, log: Log) -> None:
-        self._craft, self._origin, self._log = craft, origin, log
-        self._reported: set[str] = set()
+        self._craft, self._origin, self._log, self._once = craft, origin, log, Once(log)
         self._known: dict[str, Callable[[Mapping[str, Any]], Wish | None]] = {
             "DesiredZ": self._height, "DesiredSpeed": self._speed, "DesiredVelocity": self._velocity,
             "DesiredHeading": lambda m: Wish(heading_rad=math.pi / 2 - m["value"]),
@@ -89,19 +92,14 @@ class Commands:
 
     def answer(self, packet: Packet) -> tuple[Wish | None, Message] | None:
         """Return the request and the answer of a packet, or None if it is no request."""
-        if packet.name == "VehicleCommand" and packet["type"] == REQUEST:
-            stops = packet["command"] == STOP_MANEUVER
-            known = stops or packet["command"] == EXECUTE
-            wish, wrong = self._started(None if stops else packet["maneuver"]) if known else (None, "not supported")
-            same = {key: packet[key] for key in ("request_id", "command", "calib_time")}
-            return wish, make("VehicleCommand", type=FAILURE if wrong else SUCCESS, info=wrong, **same)
-        if packet.name == "PlanControl" and packet["type"] == REQUEST:
-            stops = packet["op"] == STOP
-            known = stops or packet["op"] == START
-            wish, wrong = self._started(None if stops else packet["arg"]) if known else (None, "not supported")
-            same = {key: packet[key] for key in ("op", "request_id", "plan_id", "flags")}
-            return wish, make("PlanControl", type=FAILURE if wrong else SUCCESS, info=wrong, **same)
-        return None
+        if packet.name not in REQUESTS or packet["type"] != REQUEST:
+            return None
+        maneuver, order, *others = REQUESTS[packet.name]
+        stops = packet[order] == STOP
+        known = stops or packet[order] == START
+        wish, wrong = self._started(None if stops else packet[maneuver]) if known else (None, "not supported")
+        same = {key: packet[key] for key in (order, *others)}
+        return wish, make(packet.name, type=FAILURE if wrong else SUCCESS, info=wrong, **same)
 
     def _started(self, maneuver: Message | None) -> tuple[Wish | None, str]:
         """Return the request of a maneuver (None: hover), and why it is not possible."""
@@ -125,9 +123,7 @@ class Commands:
 
     def _metres_a_second(self, m: Mapping[str, Any], key: str) -> float | None:
         if m["speed_units"] != METRES_A_SECOND:
-            if key not in self._reported:
-                self._reported.add(key)
-                self._log(f"{key} is taken in m/s only")
+            self._once(f"{key} is taken in m/s only")
             return None
         return float(m["value" if key == "DesiredSpeed" else "speed"])
 
@@ -231,12 +227,11 @@ class Simulated:
     """
 
     def __init__(self, vehicle: Steered, *, rate_hz: float, pace: float, log: Log) -> None:
-        self.craft, self._log, self._pace = vehicle, log, pace
+        self.craft, self._once, self._pace = vehicle, Once(log), pace
         self._period_ns = round(1e9 / rate_hz)
         self._begun: float | None = None
         self._count = 0
         self._epoch_ns = time.time_ns()
-        self._touched = False
 
     def fly(self) -> list[BodyState]:
         """Fly until now, and return the poses since the last call."""
@@ -252,9 +247,8 @@ class Simulated:
             out.append(BodyState(self._epoch_ns + v.t_ns, v.position, v.quat_xyzw, v.velocity, v.spin))
             if len(out) >= 50:  # first handle commands that came meanwhile
                 break
-        if v.touched and not self._touched:
-            self._touched = True
-            self._log("the vehicle hit something")
+        if v.touched:
+            self._once("the vehicle hit something")
         return out
 
     def close(self) -> None:

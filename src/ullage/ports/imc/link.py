@@ -10,8 +10,8 @@ from typing import Literal
 from ullage.ports.imc.codec import NOBODY, Message, Packet, compile_kernels, encode, make, readable
 from ullage.ports.imc.options import LinkOptions, endpoint
 from ullage.ports.imc.table import Table
-from ullage.ports.imc.wires import Entity, Identity, Outbox, TcpWire, UdpWire, Wire
-from ullage.ports.intake import Counters, Inbox, Log
+from ullage.ports.imc.wires import OUTBOX_BYTES, Entity, Identity, TcpWire, UdpWire, Wire
+from ullage.ports.intake import Counters, Inbox, Log, Once
 from ullage.ports.shared_links import SharedLinks
 
 NORMAL = 1
@@ -39,10 +39,10 @@ class Link:
     ) -> None:
         self.wire, self.me, self.table, self.listens = wire, me, table, listens
         self._log, self.counters = log, counters
-        self.out = Outbox()
+        self.out: Inbox[bytes] = Inbox(counters, most_bytes=OUTBOX_BYTES, received=False)
         self.events: Inbox[Packet] = Inbox(counters, most=INBOX, received=False)
         self._ending = False
-        self._reported: set[str] = set()
+        self._once = Once(log)
         self._error: BaseException | None = None
         compile_kernels()
         self._thread = threading.Thread(target=self._run, name="imc", daemon=True)
@@ -58,16 +58,19 @@ class Link:
         """
         stamp = time.time() if t_s is None else t_s
         data = encode(Packet(message, stamp, self.me.system_id, entity, dst, dst_ent), table=self.table)
-        self.out.put(data)
-        if self.out.dropped:
-            self._once("slow", "the peer reads too slowly; the oldest messages to it are dropped")
+        self._queue(data)
+        if self.out.lost:
+            self._once("the peer reads too slowly; the oldest messages to it are dropped")
         self.wire.wake()
 
     def enter(self, entity: Entity) -> None:
         """Announce a part of us."""
         self.me.entities = [*self.me.entities, entity]
-        for data in (self._pack(self.me.entity_list(self.table)), self._info(entity), self._state(entity)):
-            self.out.put(data)
+        self._queue(self._pack(self.me.entity_list(self.table)), self._info(entity), self._state(entity))
+
+    def _queue(self, *packets: bytes) -> None:
+        for data in packets:
+            self.out.put(data, topic="packets to the peer", size=len(data))
 
     def join(self, me: Identity, *, listens: bool) -> None:
         """Let another part of this program use the link under the same name and number."""
@@ -122,11 +125,6 @@ class Link:
         self._thread.join(3.0)
         self.wire.close()
 
-    def _once(self, key: str, text: str) -> None:
-        if key not in self._reported:
-            self._reported.add(key)
-            self._log(text)
-
     def _run(self) -> None:
         try:
             self._loop()
@@ -164,7 +162,7 @@ class Link:
         for packet in packets:
             self.events.put(packet, topic=packet.name or f"message {packet.id}", size=memory_bytes(packet))
         if self.events.lost:
-            self._once("full", "messages come faster than they are used; the oldest are dropped")
+            self._once("messages come faster than they are used; the oldest are dropped")
 
     def _pack(self, message: Message, entity: int = 255) -> bytes:
         return encode(Packet(message, time.time(), self.me.system_id, entity), table=self.table)
@@ -174,8 +172,7 @@ class Link:
         self.wire.greet(hello)
         if not self.wire.connected:
             return
-        for data in (hello, self._pack(self.me.entity_list(self.table)), *map(self._info, self.me.entities)):
-            self.out.put(data)
+        self._queue(hello, self._pack(self.me.entity_list(self.table)), *map(self._info, self.me.entities))
 
     def _info(self, e: Entity) -> bytes:
         info = make("EntityInfo", table=self.table, id=e.id, label=e.label, component=e.component)
@@ -185,27 +182,23 @@ class Link:
         return self._pack(make("EntityState", table=self.table, state=NORMAL, description="active"), e.id)
 
     def _beat(self) -> None:
-        for data in (self._pack(make("Heartbeat", table=self.table)), *map(self._state, self.me.entities)):
-            self.out.put(data)
+        self._queue(self._pack(make("Heartbeat", table=self.table)), *map(self._state, self.me.entities))
 
     def _answer(self, packet: Packet) -> None:
         """Answer the requests that every system must answer."""
         if packet.src == self.me.system_id:
             if packet.name == "Announce" and not self.me.shared and self.me.uid not in packet["services"]:
                 other = f"{readable(packet['sys_name'])!r} also uses the address {packet.src:#06x}"
-                self._once("twin", f"{other}; give one of us another: system_id=")
+                self._once(f"{other}; give one of us another: system_id=", kind="twin")
             return
         if packet.dst not in (self.me.system_id, NOBODY):
             return
-        answers: list[bytes] = []
         if packet.name == "EntityList" and packet["op"] == QUERY:
-            answers = [self._pack(self.me.entity_list(self.table))]
+            self._queue(self._pack(self.me.entity_list(self.table)))
         elif packet.name == "QueryEntityInfo":
-            answers = [self._info(e) for e in self.me.entities if e.id in (packet.dst_ent, packet["id"])]
+            self._queue(*(self._info(e) for e in self.me.entities if e.id in (packet.dst_ent, packet["id"])))
         elif packet.name == "QueryEntityState":
-            answers = [self._state(e) for e in self.me.entities if packet.dst_ent in (e.id, 255)]
-        for data in answers:
-            self.out.put(data)
+            self._queue(*(self._state(e) for e in self.me.entities if packet.dst_ent in (e.id, 255)))
 
 
 def memory_bytes(packet: Packet) -> int:

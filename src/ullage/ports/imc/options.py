@@ -9,8 +9,7 @@ from pydantic import Field, field_validator
 
 from ullage.errors import InputError, shown
 from ullage.ports.cosimulation import SensingOptions
-from ullage.ports.geodetic import Geodetic, datum_of
-from ullage.ports.imc.geodetic import TRONDHEIM
+from ullage.ports.geodetic import TRONDHEIM, Geodetic, datum_of
 from ullage.ports.imc.table import Table, from_xml, own
 from ullage.ports.live import point_of
 from ullage.specs import Spec

@@ -18,7 +18,7 @@ from ullage.ports.imc import broker
 from ullage.ports.imc.codec import NOBODY, Malformed, Message, Packet, encode
 from ullage.ports.imc.interpreter import PAIRS, Ros, imc_of, interpreted, rows_of
 from ullage.ports.imc.table import own
-from ullage.ports.intake import Log
+from ullage.ports.intake import Log, Once
 from ullage.ports.protocol import Passed
 from ullage.ports.schema import decoded, encoded
 
@@ -105,9 +105,8 @@ class RosToImc:
     """
 
     def __init__(self, own_id: int, log: Log) -> None:
-        self._own, self._log = own_id, log
+        self._own, self._once = own_id, Once(log)
         self._latest: Ros = {}  # parts of messages that are made of several
-        self._reported: set[str] = set()
 
     def take(self, item: Passed) -> list[Outgoing]:
         """Return the messages to send for a ROS message."""
@@ -157,11 +156,6 @@ class RosToImc:
             if not part.kept:
                 self._latest.pop(part.topic, None)
         return [Outgoing(imc_of(row.name, there), None, "")]
-
-    def _once(self, text: str) -> None:
-        if text not in self._reported and len(self._reported) < 100:
-            self._reported.add(text)
-            self._log(text)
 
 
 def _outgoing(packet: Packet, part: str) -> Outgoing:

@@ -12,14 +12,14 @@ import numpy as np
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.ports.cosimulation import rig_of, world_of
+from ullage.ports.geodetic import TRONDHEIM
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet
-from ullage.ports.imc.geodetic import TRONDHEIM
 from ullage.ports.imc.link import Link, Role, leave, open_link
 from ullage.ports.imc.options import SourceOptions
 from ullage.ports.imc.relay import passed
 from ullage.ports.imc.wires import Entity, Identity
-from ullage.ports.intake import PIECE_S, Covered, Inbox, Log, warn
+from ullage.ports.intake import PIECE_S, Covered, Inbox, Log, Once, warn
 from ullage.ports.live import Address, LiveSource, point_of
 from ullage.ports.pose_events import BodyState
 
@@ -52,7 +52,7 @@ class ImcSource(LiveSource):
         self._options = options
         self._radars: LiveRadars | None = None
         self._seen: list[str] = []
-        self._behind = False
+        self._once = Once(log)
         self._limit_s, self._lost = options.lag, 0
         points, start = options.waypoints(), point_of(options.start, "start", where=self.where, yaw=True)
         self._vehicle_s, self._frames_s = Covered(), Covered()
@@ -236,9 +236,8 @@ class ImcSource(LiveSource):
         began = time.monotonic()
         out = radars.advance([p.t_ns for p in poses], [p.position for p in poses], [p.quat_xyzw for p in poses])
         took, span = time.monotonic() - began, (poses[-1].t_ns - poses[0].t_ns) * 1e-9
-        if span > 3.0 and took > span and not self._behind:
-            self._behind = True
-            self._log("the radars take longer than the flight; give rate_hz= or fidelity=thesis to keep up")
+        if span > 3.0 and took > span:
+            self._once("the radars take longer than the flight; give rate_hz= or fidelity=thesis to keep up")
         return out
 
     def trajectory(self) -> Trajectory | None:

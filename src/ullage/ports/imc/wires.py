@@ -9,11 +9,9 @@ import ipaddress
 import re
 import select
 import socket
-import threading
 import time
 import uuid
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -22,7 +20,7 @@ from ullage.errors import InputError
 from ullage.ports.imc.codec import NOBODY, Malformed, Message, Packet, Parser, decode, make, readable
 from ullage.ports.imc.options import LinkOptions
 from ullage.ports.imc.table import Table
-from ullage.ports.intake import Counters, Log
+from ullage.ports.intake import Counters, Inbox, Log, Once
 
 MOBILE_SENSOR = 7
 REPORT = 0
@@ -32,7 +30,6 @@ GROUP = "224.0.75.69"
 ANNOUNCE_PORTS = range(30100, 30105)
 SERVICE = re.compile(r"imc\+udp://([\d.]{7,15}):(\d{1,5})(?!\d)/?", re.ASCII)
 MOST_PEERS = 64
-MOST_REPORTED = 100
 TRIES = 16
 Place = tuple[str, int]
 
@@ -74,47 +71,6 @@ class Identity:
         return make("EntityList", table=table, op=REPORT, list=text)
 
 
-class Outbox:
-    """Packets that wait to be sent; if there are too many, the oldest are dropped."""
-
-    def __init__(self) -> None:
-        self._waiting: deque[bytes] = deque()
-        self._lock = threading.Lock()
-        self._size = self.dropped = 0
-
-    def put(self, data: bytes) -> None:
-        """Add one at the end."""
-        with self._lock:
-            self._waiting.append(data)
-            self._size += len(data)
-            while self._size > OUTBOX_BYTES:
-                self._size -= len(self._waiting.popleft())
-                self.dropped += 1
-
-    @property
-    def waiting_bytes(self) -> int:
-        """Size of all that waits."""
-        return self._size
-
-    def take(self) -> bytes | None:
-        """Return the oldest one, or None if none waits."""
-        with self._lock:
-            if not self._waiting:
-                return None
-            data = self._waiting.popleft()
-            self._size -= len(data)
-            return data
-
-    def clear(self) -> None:
-        """Forget them all."""
-        with self._lock:
-            self._waiting.clear()
-            self._size = 0
-
-    def __len__(self) -> int:
-        return len(self._waiting)
-
-
 class Wire(ABC):
     """Carry bytes to one or more peers; every call returns at once or within its timeout.
 
@@ -128,7 +84,7 @@ class Wire(ABC):
     def __init__(self, options: LinkOptions, table: Table, log: Log, counters: Counters) -> None:
         self._silence, self._again, self._table = options.silence_s, options.reconnect, table
         self._log, self._counters, self._parser = log, counters, Parser(table)
-        self._reported: set[str] = set()
+        self._once = Once(log)
         self._woken, self._waking = socket.socketpair()
         self._woken.setblocking(False)
         self._waking.setblocking(False)
@@ -149,7 +105,7 @@ class Wire(ABC):
         """Whether the peer has gone for good."""
 
     @abstractmethod
-    def exchange(self, out: Outbox, timeout_s: float) -> list[Packet]:
+    def exchange(self, out: Inbox[bytes], timeout_s: float) -> list[Packet]:
         """Send and receive what is possible; wait until the timeout if nothing is."""
 
     @abstractmethod
@@ -180,14 +136,12 @@ class Wire(ABC):
 
     def _report_foreign_bytes(self, where: str) -> None:
         """Log once that a peer speaks another version, or no IMC at all."""
-        parser, reported = self._parser, self._reported
-        if parser.strange > 1 and parser.version and "version" not in reported:
-            reported.add("version")
+        parser = self._parser
+        if parser.strange > 1 and parser.version:
             major, minor = parser.version
-            self._log(f"{where} speaks IMC {major}.{minor}; this port speaks 5.4")
-        elif parser.garbage > 4096 and "garbage" not in reported:
-            reported.add("garbage")
-            self._log(f"{where} sends bytes that are no IMC; they are passed over")
+            self._once(f"{where} speaks IMC {major}.{minor}; this port speaks 5.4", kind="version")
+        if parser.garbage > 4096:
+            self._once(f"{where} sends bytes that are no IMC; they are passed over", kind="garbage")
 
 
 class TcpWire(Wire):
@@ -220,13 +174,13 @@ class TcpWire(Wire):
         """Whether it is lost for good."""
         return self._was_there and self._sock is None and not self._again
 
-    def exchange(self, out: Outbox, timeout_s: float) -> list[Packet]:
+    def exchange(self, out: Inbox[bytes], timeout_s: float) -> list[Packet]:
         """Send and receive what is possible; wait until the timeout if nothing is."""
         sock = self._sock or self._connect(timeout_s)
         if sock is None:
             return []
         if not len(self._rest):
-            self._rest = memoryview(out.take() or b"")
+            self._rest = memoryview(out.get(0.0) or b"")
         ready, writable = self._wait([sock], [sock] if len(self._rest) else [], timeout_s)
         if writable:
             self._write(sock, out)
@@ -244,9 +198,7 @@ class TcpWire(Wire):
         try:
             sock = socket.create_connection(self._place, timeout=2.0)
         except OSError as error:
-            if "waiting" not in self._reported:
-                self._reported.add("waiting")
-                self._log(f"waiting for {self._where} ({error.strerror or error})")
+            self._once(f"waiting for {self._where} ({error.strerror or error})", kind="waiting")
             self._next_try, self._wait_s = now + self._wait_s, min(2 * self._wait_s, 2.0)
             return None
         if sock.getsockname() == sock.getpeername():  # the socket connected to itself: nobody listens there
@@ -257,16 +209,16 @@ class TcpWire(Wire):
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self._sock, self._was_there, self._wait_s, self._received_s = sock, True, 0.25, time.monotonic()
-        self._reported.discard("waiting")
+        self._once.again("waiting")
         self._parser, self._damaged = Parser(self._table), 0
         return sock
 
-    def _write(self, sock: socket.socket, out: Outbox) -> None:
+    def _write(self, sock: socket.socket, out: Inbox[bytes]) -> None:
         try:
             while len(self._rest):
                 self._rest = self._rest[sock.send(self._rest) :]
                 if not len(self._rest):
-                    self._rest = memoryview(out.take() or b"")
+                    self._rest = memoryview(out.get(0.0) or b"")
         except BlockingIOError:
             pass
         except OSError:
@@ -357,7 +309,7 @@ class UdpWire(Wire):
         """Whether every peer has gone for good."""
         return self._there and not self._peers and not self._again
 
-    def exchange(self, out: Outbox, timeout_s: float) -> list[Packet]:
+    def exchange(self, out: Inbox[bytes], timeout_s: float) -> list[Packet]:
         """Send what is possible, and receive packets until the timeout."""
         self._write(out)
         ready, _ = self._wait([self._sock, *self._announce_sockets], [], timeout_s)
@@ -365,12 +317,12 @@ class UdpWire(Wire):
         self._drop_silent()
         return packets
 
-    def _write(self, out: Outbox) -> None:
+    def _write(self, out: Inbox[bytes]) -> None:
         places = {peer.place for peer in self._peers.values()} | ({self._fixed} if self._fixed else set())
         if not places:
             out.clear()
             return
-        while (data := out.take()) is not None:
+        while (data := out.get(0.0)) is not None:
             for place in places:
                 try:
                     self._sock.sendto(data, place)
@@ -444,10 +396,8 @@ class UdpWire(Wire):
         self._there = True
 
     def _twins(self, number: int, one: str, other: str) -> None:
-        key = f"twins {number}"
-        if key not in self._reported and len(self._reported) < MOST_REPORTED:
-            self._reported.add(key)
-            self._log(f"{one!r} and {other!r} both use the address {number:#06x}; only the first is listened to")
+        text = f"{one!r} and {other!r} both use the address {number:#06x}; only the first is listened to"
+        self._once(text, kind=f"twins {number}")
 
     def _drop_silent(self) -> None:
         now = time.monotonic()

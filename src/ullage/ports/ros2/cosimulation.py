@@ -11,18 +11,18 @@ from ullage.errors import InputError
 from ullage.geometry import matrix_quat
 from ullage.ports import schema as ros
 from ullage.ports.conversions import PLACING, placements_in
-from ullage.ports.cosimulation import CosimulationSource, rig_of, world_of
-from ullage.ports.intake import PATIENCE_S, Counters, Inbox, Log, checked_pose, warn
-from ullage.ports.pose_events import ModelPose, Notice
+from ullage.ports.cosimulation import CosimulationSource, world_and_rig
+from ullage.ports.intake import Log, checked_pose
+from ullage.ports.pose_events import EventFeed, ModelPose, Notice
 from ullage.ports.protocol import Passed
 from ullage.ports.publisher import Publisher, shifted
-from ullage.ports.ros2.middleware import Peer
+from ullage.ports.ros2.middleware import SEARCH_S, Peer, Received
 from ullage.ports.ros2.options import SimulateOptions
 from ullage.ports.ros2.transforms import Transforms
 from ullage.world.scene import Scene
 
 
-class PoseFeed:
+class PoseFeed(EventFeed[Received]):
     """Feed of a vehicle's poses from a topic, with frames published back.
 
     Args:
@@ -32,70 +32,37 @@ class PoseFeed:
     """
 
     def __init__(self, peer: Peer, options: SimulateOptions, scene: Scene) -> None:
+        super().__init__(peer)
         self._peer, self._options = peer, options
-        self._topic = peer.resolved(options.pose)
-        self._kind = ""
-        self.counters = Counters()
-        self._inbox: Inbox[bytes] = Inbox(self.counters)
+        self._topic, self._kind = peer.resolved(options.pose), ""
         self._transforms = Transforms()
-        self._waiting: list[ModelPose] = []
         self._publisher = Publisher(frame_prefix=options.frame_prefix)
-        peer.claim(self._topic)
         self._scene: Scene | None = scene
-        self._searched_s = 0.0
-        self._last_s = self._logged_s = time.monotonic()
         self.newest_ns = 0
-        self._peer.spin()
-
-    @property
-    def behind_s(self) -> float:
-        """How long the oldest message waits already [s]."""
-        return self._inbox.behind_s
+        peer.claim(self._topic)
+        peer.spin()
 
     def next(self, timeout_s: float) -> ModelPose | Notice | None:
         """Return the next pose or notice, or None if none came within the timeout."""
-        end = time.monotonic() + timeout_s
-        while True:
-            if not self._kind and (found := self._find_topic()):
-                return found
-            if self._waiting:
-                return self._waiting.pop(0)
-            left = end - time.monotonic()
-            data = self._inbox.get(max(0.0, min(left, 0.1)))
-            if data is None:
-                if left <= 0:
-                    return self._on_silence() if timeout_s else None
-                continue
-            self._last_s = time.monotonic()
-            self._waiting += self._taken(data)
+        for kind in self._peer.appeared([self._topic]).values():
+            return self._begin(kind)
+        found: ModelPose | Notice | None = super().next(timeout_s if self._kind else min(timeout_s, SEARCH_S))
+        return found
 
-    def _find_topic(self) -> Notice | None:
-        """Subscribe once the topic exists."""
-        if time.monotonic() - self._searched_s < 0.2:
-            return None
-        self._searched_s = time.monotonic()
-        kind = self._peer.topics().get(self._topic, "")
-        if not kind:
-            return None
+    def _begin(self, kind: str) -> Notice:
+        """Subscribe to the topic of the poses."""
         if kind not in PLACING:
             raise InputError(f"{self._topic} carries {kind}", where="pose", allowed=", ".join(PLACING))
         self._kind = kind
-        quality: Any = "transforms" if kind == ros.TRANSFORMS else "sensor"
-        self._peer.listen(self._topic, kind, quality, self._put, depth=500)
+        self._peer.receive(self._topic, kind, "transforms" if kind == ros.TRANSFORMS else "sensor", depth=500)
         if kind == ros.TRANSFORMS:
             self._peer.listen("/tf_static", kind, "latched", self._fixed, depth=100)
         return Notice(f"poses come on {self._topic}")
 
-    def _put(self, data: bytes) -> None:
-        self._inbox.put(data, topic=self._topic, size=len(data))
-
-    def _taken(self, data: bytes) -> list[ModelPose]:
-        """Return the poses in a message, and count a message that cannot be read."""
-        try:
-            return self._read(data)
-        except Exception as error:  # a damaged message can raise any error in the decoder
-            self.counters.drop(self._topic, "bad", f"cannot be read: {type(error).__name__}")
-            return []
+    def _take(self, event: Received) -> ModelPose | None:
+        self._last_s = time.monotonic()
+        self._ready += self._read(event.data)
+        return self._ready.pop() if self._ready else None
 
     def _fixed(self, data: bytes) -> None:
         with suppress(Exception):
@@ -137,16 +104,11 @@ class PoseFeed:
         x, y, z, w = pose[1].tolist()
         return [ModelPose(t_ns, at, (x, y, z, w))]
 
-    def _on_silence(self) -> Notice | None:
-        now = time.monotonic()
-        if now - max(self._last_s, self._logged_s) < PATIENCE_S:
-            return None
-        self._logged_s = now
+    def _silence(self) -> str:
         if self._kind:
-            return Notice(f"no poses on {self._topic} any more; waiting (Ctrl-C ends)")
+            return f"no poses on {self._topic} any more; waiting (Ctrl-C ends)"
         fitting = [name for name, kind in self._peer.topics().items() if kind in PLACING]
-        names = ", ".join(fitting) or "none that is there"
-        return Notice(f"nobody publishes {self._topic}; pose=TOPIC could be {names}")
+        return f"nobody publishes {self._topic}; pose=TOPIC could be {', '.join(fitting) or 'none that is there'}"
 
     def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
         """Publish frames on the clock of the poses."""
@@ -176,7 +138,7 @@ class PoseFeed:
     def close(self) -> None:
         """Leave the network after all reliable messages have arrived."""
         self._peer.settle(1.0)
-        self._peer.close()
+        super().close()
 
 
 class Ros2Radars(CosimulationSource):
@@ -199,17 +161,6 @@ class Ros2Radars(CosimulationSource):
         where = f"ros2:{namespace}"
         if not (options.simulate or options.world):
             raise InputError("no world", where=where, allowed="simulate=NAME or simulate=FILE.sdf")
-        scene = world_of(options.simulate or options.world, where=where)
-        model = options.model or next(iter(scene.rigs), "")
-        rig = rig_of(options.rig, scene, model, where=where)
-        scene = scene.without(model) if model in scene.rigs else scene
+        scene, rig = world_and_rig(options.simulate or options.world, options, where=where)
         made = peer or Peer(namespace, options)
-        super().__init__(lambda: PoseFeed(made, options, scene), scene, rig, options, log=log or warn)
-        self._stopped = False
-
-    def stop(self) -> None:
-        """End a stream that runs in another thread."""
-        self._stopped = True
-
-    def _over(self) -> bool:
-        return self._stopped or super()._over()
+        super().__init__(lambda: PoseFeed(made, options, scene), scene, rig, options, log=log)

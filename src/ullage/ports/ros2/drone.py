@@ -5,14 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 
-import numpy as np
-
 from ullage.flight.pilot import Velocity
 from ullage.geometry import rpy_quat
 from ullage.ports import schema as ros
 from ullage.ports.conversions import stamp_ns
 from ullage.ports.drone import DroneOptions, TopicDrone
-from ullage.ports.intake import Counters, Inbox
 from ullage.ports.pose_events import BodyState
 from ullage.ports.publisher import Message
 from ullage.ports.ros2.middleware import Peer
@@ -32,24 +29,16 @@ class RosDrone(TopicDrone):
     """
 
     def __init__(self, namespace: str, options: DroneOptions) -> None:
-        super().__init__(options.odom or "odom", Counters())
-        self._cmd_vel, self._setpoint = options.cmd_vel or "cmd_vel", options.setpoint or "command/pose"
-        self._inbox: Inbox[bytes] = Inbox(self.counters)
-        self._frame = "odom"
         self._peer = Peer(namespace, NodeOptions(node="ullage_interpreter"))
-        topic = self._peer.resolved(self._odom)
-        self._peer.listen(
-            self._odom,
-            ros.ODOMETRY,
-            "sensor",
-            lambda data: self._inbox.put(data, topic=topic, size=len(data)),
-            depth=50,
-        )
+        super().__init__(options.odom or "odom", self._peer.counters)
+        self._cmd_vel, self._setpoint = options.cmd_vel or "cmd_vel", options.setpoint or "command/pose"
+        self._frame = "odom"
+        self._peer.receive(self._odom, ros.ODOMETRY, "sensor", depth=50)
         self._peer.spin()
 
     def _arrived(self) -> Iterator[bytes]:
-        while (data := self._inbox.get(0.0)) is not None:
-            yield data
+        while (found := self._peer.wait(0.0)) is not None:
+            yield found.data
 
     def _state(self, data: bytes) -> BodyState | str:
         message = ros.from_bytes(ros.ODOMETRY, data)
@@ -58,20 +47,14 @@ class RosDrone(TopicDrone):
 
     def steer(self, velocity: Velocity) -> None:
         """Command a velocity in the level frame of the heading."""
-        forward, left, up, turn = velocity
-        fields = {"linear": {"x": forward, "y": left, "z": up}, "angular": {"x": 0.0, "y": 0.0, "z": turn}}
+        fields = {"linear": velocity[:3], "angular": (0.0, 0.0, velocity.turn_rad_s)}
         self._send(self._cmd_vel, ros.TWIST, ros.encoded(ros.TWIST, fields))
 
     def go_to(self, position: tuple[float, float, float], heading_rad: float) -> None:
         """Command a set-point in the world of the drone's odometry."""
-        quat = np.asarray(rpy_quat(0.0, 0.0, heading_rad), float)
-        pose = {
-            "position": dict(zip("xyz", position, strict=True)),
-            "orientation": dict(zip("xyzw", map(float, quat), strict=True)),
-        }
-        self._send(
-            self._setpoint, ros.POSE, ros.encoded(ros.POSE, {"pose": pose}, t_ns=time.time_ns(), frame_id=self._frame)
-        )
+        pose = (position, tuple(rpy_quat(0.0, 0.0, heading_rad)))
+        data = ros.encoded(ros.POSE, {"pose": pose}, t_ns=time.time_ns(), frame_id=self._frame)
+        self._send(self._setpoint, ros.POSE, data)
 
     def _send(self, topic: str, kind: str, data: bytes) -> None:
         self._peer.send(Message(time.time_ns(), topic, kind, "stream", data))

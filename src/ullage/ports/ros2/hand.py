@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 from pydantic import Field
@@ -12,13 +11,10 @@ from ullage.flight.pilot import HOVER, Pilot, Velocity
 from ullage.geometry import quat_rpy
 from ullage.ports import schema as ros
 from ullage.ports.by_hand import FlyOptions, HandFlownSource
-from ullage.ports.cosimulation import rig_of, world_of
-from ullage.ports.intake import Counters, Inbox, Log, checked_pose, warn
+from ullage.ports.cosimulation import world_and_rig
+from ullage.ports.intake import Log, checked_pose, warn
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions
-
-SEARCH_S = 0.2
-"""How often the graph is asked for topics that somebody has begun to publish [s]."""
 
 
 class ControlOptions(NodeOptions):
@@ -62,9 +58,8 @@ class TopicControls:
     """
 
     def __init__(self, peer: Peer, options: ControlOptions, *, log: Log | None = None) -> None:
-        self.counters = Counters()
+        self.counters = peer.counters
         self._peer, self._options, self._axes, self._log = peer, options, options.axes(), log or warn
-        self._inbox: Inbox[tuple[str, str, bytes]] = Inbox(self.counters)
         self._topics = {
             peer.resolved(name): kinds
             for name, kinds in (
@@ -74,15 +69,13 @@ class TopicControls:
             )
             if name
         }
-        self._subscribed: set[str] = set()
-        self._searched_s = 0.0
         self._button_held = False
         self._peer.spin()
 
     def update(self, pilot: Pilot, now_s: float) -> None:
         """Pass the commands since the last call to the pilot."""
         self._find_topics()
-        while (found := self._inbox.get(0.0)) is not None:
+        while (found := self._peer.wait(0.0)) is not None:
             topic, kind, data = found
             try:
                 wrong = self._take(kind, ros.from_bytes(kind, data), pilot, now_s)
@@ -97,23 +90,12 @@ class TopicControls:
 
     def _find_topics(self) -> None:
         """Subscribe to the topics that have a publisher now."""
-        if time.monotonic() - self._searched_s < SEARCH_S:
-            return
-        self._searched_s = time.monotonic()
-        there = self._peer.topics()
-        for topic, kinds in self._topics.items():
-            kind = there.get(topic)
-            if kind is None or topic in self._subscribed:
-                continue
-            self._subscribed.add(topic)
-            if kind not in kinds:
+        for topic, kind in self._peer.appeared(self._topics).items():
+            if kind not in (kinds := self._topics[topic]):
                 self._log(f"{topic} carries {kind}, which is no command (allowed: {', '.join(kinds)})")
                 continue
-            self._peer.listen(topic, kind, "sensor", self._taker(topic, kind), depth=10)
+            self._peer.receive(topic, kind, "sensor", depth=10)
             self._log(f"commands come on {topic}")
-
-    def _taker(self, topic: str, kind: str) -> Any:
-        return lambda data: self._inbox.put((topic, kind, data), topic=topic, size=len(data))
 
     def _take(self, kind: str, message: Any, pilot: Pilot, now_s: float) -> str:
         """Pass one message to the pilot; return the error in it, or None."""
@@ -159,10 +141,7 @@ def open_flight(namespace: str, options: TopicFlyOptions, *, log: Log | None = N
     from ullage.world.library import WORLDS
 
     where = f"ros2:{namespace}"
-    scene = world_of(options.fly, where=where)
-    model = next(iter(scene.rigs), "")
-    rig = rig_of(options.rig, scene, model, where=where)
-    scene = scene.without(model) if model else scene
+    scene, rig = world_and_rig(options.fly, options, where=where)
     start = options.place() or (tuple(WORLDS[options.fly].start) if options.fly in WORLDS else None)
     if start is None:
         raise InputError("no start", where=where, allowed="start=X,Y,Z or start=X,Y,Z,YAW in metres and degrees")

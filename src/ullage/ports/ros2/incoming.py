@@ -25,6 +25,7 @@ from ullage.ports.intake import (
     Clock,
     Counters,
     Log,
+    Once,
     Place,
     PoseQueue,
     Stamped,
@@ -79,7 +80,7 @@ class Incoming:
         self._radars: dict[str, Radar] = {}
         self._moving: dict[str, Stream[tuple[str, Floats, Floats]]] = {}  # poses by their frame of reference
         self._spec = RadarSpec.preset(options.radar)
-        self._joined_to: set[str] = set()
+        self._once = Once(log)
         self._body = options.frame_prefix + options.body
 
     @property
@@ -287,9 +288,8 @@ class Incoming:
         if root != target:
             if not self.transforms.moves(name):
                 return Place("wait", missing=f"nothing tells where {root} is")
-            if root not in self._joined_to:
-                self._joined_to.add(root)
-                self._log(f"{name} hangs on {root}, not on {target}; {root} is taken for the world until that changes")
+            text = f"{name} hangs on {root}, not on {target}; {root} is taken for the world until that changes"
+            self._once(text, kind=root)
         answer = self.transforms.at(root if root != target else target, name, stamped.stamp_ns)
         if answer.status != "ok" or answer.matrix is None:
             return Place("never" if answer.status == "lost" else "wait", missing=answer.what)

@@ -11,14 +11,14 @@ import re
 import threading
 import time
 import uuid
-import warnings
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
-from ullage.errors import InputError, UllageWarning, need
+from ullage.errors import InputError, need
 from ullage.ports import schema as ros
+from ullage.ports.intake import Counters, Inbox, Once
 from ullage.ports.publisher import Message
 from ullage.ports.ros2.options import NodeOptions
 from ullage.ports.ros2.sharing import ENTERED_S, ONE_PUBLISHER, TRANSFORMS, Sharing
@@ -28,6 +28,8 @@ TAKEN: set[str] = set()
 """Topics that something in this program listens to: what came in there must not go out there again."""
 OWN: Counter[str] = Counter()
 """Topics that this program publishes, with the number of its publishers."""
+SEARCH_S = 0.2
+"""How often the graph is asked for topics that somebody has begun to publish [s]."""
 REMAP = re.compile(r"[~/\w]+:=[~/\w]+")
 NAMESPACE = re.compile(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?")
 
@@ -53,6 +55,14 @@ def message_class(kind: str) -> Any:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError):
         return None
+
+
+class Received(NamedTuple):
+    """A message that waits to be used."""
+
+    topic: str  # its full name
+    kind: str
+    data: bytes
 
 
 class Peer:
@@ -89,13 +99,17 @@ class Peer:
                 options.node, namespace=above, context=self._context, use_global_arguments=False, cli_args=words
             )
         self.node = node
+        self.counters = Counters()
+        self.events: Inbox[Received] = Inbox(self.counters)
+        self._appeared: set[str] = set()
+        self._searched_s = 0.0
         self._publishers: dict[str, Any] = {}
         self._subscriptions: list[Any] = []
         self._entered: dict[
             str, tuple[str, float]
         ] = {}  # by topic: a hidden topic of ours, and when others know it [s]
         self._sharing = Sharing(self)
-        self._reported: set[str] = set()
+        self._once = Once()
         self._claimed: set[str] = set()
         self._executor: Any = None
         self._thread: threading.Thread | None = None
@@ -142,10 +156,9 @@ class Peer:
         """Return the class of a message, or None if its package is missing, which is reported once."""
         found = message_class(kind)
         package = kind.partition("/")[0]
-        if found is None and package not in self._reported:
-            self._reported.add(package)
+        if found is None:
             how = "python -m ullage.ports.ros2.build, or from your ROS 2 distribution"
-            warnings.warn(f"{package} is not installed, so {topic} is left out; get it with: {how}", UllageWarning, 3)
+            self._once(f"{package} is not installed, so {topic} is left out; get it with: {how}", kind=package)
         return found
 
     def publisher(self, topic: str, kind: str, quality: Quality, *, reliable: bool | None = None) -> Any:
@@ -232,6 +245,29 @@ class Peer:
             found, self._named(topic), take, how, raw=True, event_callbacks=events
         )
         self._subscriptions.append(subscription)
+
+    def receive(self, topic: str, kind: str, quality: Quality, *, depth: int | None = None) -> None:
+        """Keep the messages of a topic in `events` until `wait` gives them."""
+        name = self.resolved(topic)
+
+        def put(data: bytes) -> None:
+            self.events.put(Received(name, kind, data), topic=name, size=len(data))
+
+        self.listen(topic, kind, quality, put, depth=depth)
+
+    def wait(self, timeout_s: float) -> Received | None:
+        """Return the next message, or None if none came within the timeout."""
+        return self.events.get(timeout_s)
+
+    def appeared(self, topics: Iterable[str]) -> dict[str, str]:
+        """Return those of these topics that somebody has begun to publish, each once, with their types."""
+        if time.monotonic() - self._searched_s < SEARCH_S:
+            return {}
+        self._searched_s = time.monotonic()
+        there = self.topics()
+        fresh = {topic: there[topic] for topic in topics if topic in there and topic not in self._appeared}
+        self._appeared.update(fresh)
+        return fresh
 
     def settle(self, timeout_s: float) -> None:
         """Wait until all reliable messages have arrived, unless the owner of the node has ended its context."""

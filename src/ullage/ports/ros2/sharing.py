@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import random
 import time
-import warnings
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
-from ullage.errors import UllageWarning
 from ullage.ports import schema as ros
+from ullage.ports.intake import Once
 from ullage.ports.publisher import Message
 from ullage.ports.schema import Quality
 
@@ -58,7 +57,7 @@ class Sharing:
         self._node = node
         self._others: dict[str, tuple[float, bool]] = {}  # time of the last check of a topic [s], and its result
         self._retry_s: dict[str, float] = {}
-        self._reported: set[str] = set()
+        self._once = Once()
         self._foreign: dict[str, set[str]] = {}  # by topic: child frames that other nodes publish
         self._fixed: Message | None = None  # the last complete /tf_static
         self._fixed_without: set[str] = set()  # child frames left out of it
@@ -72,7 +71,7 @@ class Sharing:
         if self._others_on(topic):
             self._node.withdraw(topic)
             self._retry_s[topic] = now + random.uniform(*RETRY_S)
-            self._report(topic, f"others publish {topic}; it is left to them")
+            self._once(f"others publish {topic}; it is left to them")
             return False
         return now >= self._retry_s.get(topic, 0.0) and (topic != CLOCK or self._node.leads(topic))
 
@@ -126,13 +125,8 @@ class Sharing:
 
     def _add(self, topic: str, children: set[str]) -> None:
         for child in sorted(children - self._foreign[topic]):
-            self._report(f"frame {child}", f"others publish the transform of {child}; it is left to them")
+            self._once(f"others publish the transform of {child}; it is left to them")
         self._foreign[topic] = self._foreign[topic] | children
-
-    def _report(self, key: str, text: str) -> None:
-        if key not in self._reported and len(self._reported) < 100:
-            self._reported.add(key)
-            warnings.warn(text, UllageWarning, stacklevel=5)
 
 
 def without(message: Message, children: set[str]) -> Message:
