@@ -205,7 +205,7 @@ def test_forces_are_taken_down_as_ned_has_them() -> None:
     ("options", "words"),
     [
         ("fly=kite", "no vehicle 'kite'"),
-        ("mission=1,2", "mission is '1,2'.*3 numbers"),
+        ("mission=1,2", "mission is '1,2'.*X,Y,Z in metres"),
         ("mission=world", "world of the library"),
         ("fly=hector&start=1", "start is '1'"),
         ("speed=3", "no option 'speed'.*speed_m_s"),
