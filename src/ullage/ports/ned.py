@@ -20,8 +20,3 @@ def enu_position(ned_m: ArrayLike) -> Floats:
 def enu_quat(ned_from_frd_xyzw: ArrayLike) -> Floats:
     """Quaternion xyzw (4) from FLU to ENU of one from FRD to NED."""
     return matrix_quat(SWAP @ quat_matrix(ned_from_frd_xyzw) @ FLIP)
-
-
-def frd_quat(flu_from_sensor: ArrayLike) -> Floats:
-    """Quaternion xyzw (4) of a sensor in FRD, both with z down, of its rotation (3, 3) in FLU, both with z up."""
-    return matrix_quat(FLIP @ np.asarray(flu_from_sensor, float) @ FLIP)

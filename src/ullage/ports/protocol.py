@@ -164,17 +164,19 @@ class WholeSource(Source):
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
-        start, chunk = 0, checks.whole("chunk", chunk, "stream", low=1)
-        while True:
-            part = {name: f[start : start + chunk] for name, f in self._frames.items() if len(f) > start}
-            if not part:
-                return
-            yield part
-            start += chunk
+        return pieces(self._frames, checks.whole("chunk", chunk, "stream", low=1))
 
     def trajectory(self) -> Trajectory | None:
         """The path of the body, where it is known."""
         return self._path
+
+
+def pieces(frames: Mapping[str, Frames], chunk: int) -> Iterator[dict[str, Frames]]:
+    """Give the frames in pieces of at most `chunk` of each sensor."""
+    start = 0
+    while part := {name: f[start : start + chunk] for name, f in frames.items() if len(f) > start}:
+        yield part
+        start += chunk
 
 
 def one_or_all(frames: dict[str, Frames], sensor: str | None) -> Frames | dict[str, Frames]:

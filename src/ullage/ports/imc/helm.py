@@ -10,22 +10,21 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from ullage.arrays import Floats
-from ullage.data import Trajectory
 from ullage.flight.live import Steered, Wish
-from ullage.ports.drone import Guided
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import NOBODY, Message, Packet, make
 from ullage.ports.imc.frames import state_of
 from ullage.ports.imc.link import Link
+from ullage.ports.imc.options import SourceOptions
 from ullage.ports.intake import PIECE_S, Inbox, Log, Once
 from ullage.ports.ned import SWAP
 from ullage.ports.pose_events import BodyState, path_along
 from ullage.ports.protocol import Passing
+from ullage.world.scene import Scene
 
 DEPTH, ALTITUDE, HEIGHT = 1, 2, 3
 METRES_A_SECOND = 0
@@ -202,12 +201,8 @@ class Commands:
         return Wish(height_m=up) if up is not None else Wish(speed_m_s=most) if most else None
 
 
-class Vehicle(Protocol):
-    """A multirotor, and how it is flown."""
-
-    @property
-    def craft(self) -> Craft:
-        """The multirotor."""
+class Vehicle(Craft, Protocol):
+    """A multirotor that can be flown."""
 
     def fly(self) -> list[BodyState]:
         """Fly until now, and return the poses since the last call."""
@@ -216,18 +211,23 @@ class Vehicle(Protocol):
         """Hover, and release it."""
 
 
-class Simulated:
+class Simulated(Steered):
     """Our own multirotor, flown in wall time from the first call on.
 
     Args:
-        vehicle: in the air.
+        name: of the vehicle.
+        scene: what can be hit; None: free space.
+        start: where it hovers at first: x, y, z [m], and yaw [deg] or not.
         rate_hz: poses a second of flight.
         pace: times real time.
         log: takes a line when it hits something.
     """
 
-    def __init__(self, vehicle: Steered, *, rate_hz: float, pace: float, log: Log) -> None:
-        self.craft, self._once, self._pace = vehicle, Once(log), pace
+    def __init__(
+        self, name: str, *, scene: Scene | None, start: tuple[float, ...], rate_hz: float, pace: float, log: Log
+    ) -> None:
+        super().__init__(name, scene=scene, start=start)
+        self._once, self._pace = Once(log), pace
         self._period_ns = round(1e9 / rate_hz)
         self._begun: float | None = None
         self._count = 0
@@ -240,14 +240,14 @@ class Simulated:
             self._begun = now
         due_ns = int((now - self._begun) * self._pace * 1e9)
         out: list[BodyState] = []
-        v = self.craft
         while (self._count + 1) * self._period_ns <= due_ns:
             self._count += 1
-            v.advance(self._count * self._period_ns)
-            out.append(BodyState(self._epoch_ns + v.t_ns, v.position, v.quat_xyzw, v.velocity, v.spin))
+            self.advance(self._count * self._period_ns)
+            t_ns = self._epoch_ns + self.t_ns
+            out.append(BodyState(t_ns, self.position, self.quat_xyzw, self.velocity, self.spin))
             if len(out) >= 50:  # first handle commands that came meanwhile
                 break
-        if v.touched:
+        if self.touched:
             self._once("the vehicle hit something")
         return out
 
@@ -255,33 +255,8 @@ class Simulated:
         """Do nothing."""
 
 
-class ExternalDrone:
-    """A drone outside of ullage.
-
-    Args:
-        drone: the commanded drone.
-        rate_hz: greatest number of poses a second.
-    """
-
-    def __init__(self, drone: Guided, *, rate_hz: float) -> None:
-        self.craft, self._period_ns, self._last_ns = drone, round(1e9 / rate_hz), 0
-
-    def fly(self) -> list[BodyState]:
-        """Return the poses since the last call, at most at the given rate."""
-        out = []
-        for state in self.craft.fly():
-            if state.t_ns - self._last_ns >= 0.9 * self._period_ns:
-                self._last_ns = state.t_ns
-                out.append(state)
-        return out
-
-    def close(self) -> None:
-        """Hover, and release it."""
-        self.craft.close()
-
-
 class Helm:
-    """Fly a vehicle as a controller on the bus commands.
+    """Fly a vehicle as a controller on the bus commands, in a thread that no simulation of radars delays.
 
     The multirotor takes the address of the first peer that sends a message, because DUNE's controllers use only the
     EstimatedState of their own system. When the controller falls silent, the vehicle hovers.
@@ -290,67 +265,23 @@ class Helm:
         vehicle: the multirotor.
         link: to the controller.
         origin: geodetic place of the world's origin.
-        timeout_s: silence after which the vehicle hovers [s].
+        options: rate of EstimatedState, and the silence after which the vehicle hovers.
         log: takes a line for a command that is not possible.
-    """
-
-    def __init__(self, vehicle: Vehicle, link: Link, *, origin: Geodetic, timeout_s: float, log: Log) -> None:
-        self._vehicle, self._link, self._origin, self._log = vehicle, link, origin, log
-        self._commands = Commands(vehicle.craft, origin, log)
-        self._timeout_s, self._received_s = timeout_s, 0.0
-        self._commanded = self._adopted = False
-
-    def take(self, packet: Packet) -> None:
-        """Carry out the command of a message."""
-        if not self._adopted and packet.name in ("Heartbeat", "Announce"):
-            self._adopted, self._link.me.system_id, self._link.me.shared = True, packet.src, True
-        self._received_s = time.monotonic()
-        if packet.dst not in (NOBODY, self._link.me.system_id):
-            return
-        answered = self._commands.answer(packet)
-        if answered is not None:
-            wish, reply = answered
-            self._link.send(reply, entity=1, dst=packet.src, dst_ent=packet.src_ent)
-        else:
-            wish = self._commands.wish(packet)
-        if wish is not None:
-            self._commanded = True
-            self._vehicle.craft.ask(wish)
-
-    def fly(self) -> list[BodyState]:
-        """Fly until now, send each pose to the controller and return the poses; none before a controller comes."""
-        if not self._received_s and not self._link.connected:
-            return []
-        if self._commanded and time.monotonic() - self._received_s > self._timeout_s:
-            self._commanded = False
-            self._log(f"the controller has said nothing for {self._timeout_s:g} s: hovering")
-            self._vehicle.craft.ask(self._commands.hover())
-        poses = self._vehicle.fly()
-        if self._link.connected:
-            for pose in poses:
-                fields: dict[str, Any] = state_of(pose, self._origin)
-                self._link.send(make("EstimatedState", **fields), entity=1, t_s=pose.t_ns * 1e-9)
-        return poses
-
-    def close(self) -> None:
-        """Hover, and let go of the vehicle."""
-        self._vehicle.close()
-
-
-class Flight:
-    """Run the helm in a thread, so that the simulation of radars delays neither the flight nor its state.
-
-    Args:
-        helm: carries out the commands of the controller.
-        link: to the controller.
         take: called with each packet of the controller.
         passing: gets the path at once.
     """
 
-    def __init__(self, helm: Helm, link: Link, *, take: Callable[[Packet], None], passing: Passing) -> None:
-        self._helm, self._link, self._take, self._passing = helm, link, take, passing
+    def __init__(
+        self, vehicle: Vehicle, link: Link, origin: Geodetic, options: SourceOptions, *, log: Log,
+        take: Callable[[Packet], None], passing: Passing,
+    ) -> None:  # fmt: skip
+        self._vehicle, self._link, self._origin, self._log = vehicle, link, origin, log
+        self._take, self._passing = take, passing
+        self._commands = Commands(vehicle, origin, log)
+        self._timeout_s, self._period_ns = options.timeout_s, round(1e9 / options.state_hz)
+        self._received_s, self._last_ns = 0.0, 0
+        self._commanded = self._adopted = self._ending = False
         self.inbox: Inbox[BodyState] = Inbox(link.counters)
-        self._ending = False
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="imc-flight", daemon=True)
         self._thread.start()
@@ -370,21 +301,53 @@ class Flight:
         try:
             while not self._ending and not self._link.finished:
                 for packet in self._link.receive(0.01):
-                    self._helm.take(packet)
+                    self._carry_out(packet)
                     self._take(packet)
-                if fresh := self._helm.fly():
-                    self._passing.give(partial(_path_of, fresh))
+                if fresh := self._fly():
+                    self._passing.give(lambda fresh=fresh: [path_along(fresh)])
                 for pose in fresh:
                     self.inbox.put(pose, topic="flight")
         except BaseException as error:  # `poses` raises it
             self._error = error
 
+    def _carry_out(self, packet: Packet) -> None:
+        """Carry out the command of a message."""
+        if not self._adopted and packet.name in ("Heartbeat", "Announce"):
+            self._adopted, self._link.me.system_id, self._link.me.shared = True, packet.src, True
+        self._received_s = time.monotonic()
+        if packet.dst not in (NOBODY, self._link.me.system_id):
+            return
+        answered = self._commands.answer(packet)
+        if answered is not None:
+            wish, reply = answered
+            self._link.send(reply, entity=1, dst=packet.src, dst_ent=packet.src_ent)
+        else:
+            wish = self._commands.wish(packet)
+        if wish is not None:
+            self._commanded = True
+            self._vehicle.ask(wish)
+
+    def _fly(self) -> list[BodyState]:
+        """Fly until now, send each pose to the controller and return the poses; none before a controller comes."""
+        if not self._received_s and not self._link.connected:
+            return []
+        if self._commanded and time.monotonic() - self._received_s > self._timeout_s:
+            self._commanded = False
+            self._log(f"the controller has said nothing for {self._timeout_s:g} s: hovering")
+            self._vehicle.ask(self._commands.hover())
+        poses = []
+        for pose in self._vehicle.fly():
+            if pose.t_ns - self._last_ns < 0.9 * self._period_ns:
+                continue  # a drone of others may come faster
+            self._last_ns = pose.t_ns
+            poses.append(pose)
+            if self._link.connected:
+                fields: dict[str, Any] = state_of(pose, self._origin)
+                self._link.send(make("EstimatedState", **fields), entity=1, t_s=pose.t_ns * 1e-9)
+        return poses
+
     def close(self) -> None:
-        """End the thread, and release the vehicle."""
+        """End the thread, hover, and release the vehicle."""
         self._ending = True
         self._thread.join(3.0)
-        self._helm.close()
-
-
-def _path_of(poses: list[BodyState]) -> Iterator[Trajectory]:
-    yield path_along(poses)
+        self._vehicle.close()

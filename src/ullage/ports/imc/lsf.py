@@ -17,11 +17,10 @@ from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, Parser, encode, make
 from ullage.ports.imc.frames import BODY, MessageEncoder
 from ullage.ports.imc.options import LogOptions, LogSourceOptions
-from ullage.ports.imc.source import pieces
 from ullage.ports.imc.table import from_xml, own, to_xml
 from ullage.ports.imc.wires import Entity
 from ullage.ports.intake import Counters, warn
-from ullage.ports.protocol import Item, Recording, Sink
+from ullage.ports.protocol import Item, Recording, Sink, pieces
 
 AT_ONCE = 1 << 19
 STARTED, STOPPED = 1, 3

@@ -22,11 +22,11 @@ from ullage.ports.imc.wires import Entity, Identity
 from ullage.ports.intake import PIECE_S, Covered, Inbox, Log, Once, warn
 from ullage.ports.live import Address, LiveSource, point_of
 from ullage.ports.pose_events import BodyState
+from ullage.ports.protocol import pieces
 
 if TYPE_CHECKING:
-    from ullage.ports.drone import Guided
     from ullage.ports.imc.backseat import Backseat
-    from ullage.ports.imc.helm import Flight, Vehicle
+    from ullage.ports.imc.helm import Helm, Vehicle
     from ullage.radar.live import LiveRadars
 
 
@@ -107,20 +107,15 @@ class ImcSource(LiveSource):
 
     def _vehicle(self, start: tuple[float, ...]) -> Vehicle:
         """Open our own multirotor or an external drone."""
-        from ullage.flight.live import Steered
-        from ullage.ports.imc.helm import ExternalDrone, Simulated
+        from ullage.ports.drone import DroneOptions, Guided, Limits
+        from ullage.ports.imc.helm import Simulated
 
         o = self._options
         address = Address.of(o.fly)
         if address is None:
-            vehicle = Steered(o.fly, scene=self.scene, start=start)
-            return Simulated(vehicle, rate_hz=o.state_hz, pace=o.pace, log=self._log)
-        return ExternalDrone(self._guided(address), rate_hz=o.state_hz)
-
-    def _guided(self, address: Address) -> Guided:
-        from ullage.ports.drone import DroneOptions, Guided, Limits
-
-        o = self._options
+            return Simulated(
+                o.fly, scene=self.scene, start=start, rate_hz=o.state_hz, pace=o.pace, log=self._log
+            )  # fmt: skip
         open_drone = address.function("open_drone")
         if open_drone is None:
             raise InputError(f"no drone at {o.fly!r}", where="fly", allowed="a vehicle, ros2:NAMESPACE, gazebo:MODEL")
@@ -128,13 +123,13 @@ class ImcSource(LiveSource):
         drone = open_drone(address.place, topics, o.takes)
         return Guided(drone, o.takes, Limits(level_m_s=o.limit_m_s), log=self._log)
 
-    def _take_off(self, vehicle: Vehicle) -> Flight:
-        from ullage.ports.imc.helm import Flight, Helm
+    def _take_off(self, vehicle: Vehicle) -> Helm:
+        from ullage.ports.imc.helm import Helm
 
-        o = self._options
-        home = self._track.origin = o.place() or TRONDHEIM
-        helm = Helm(vehicle, self._link, origin=home, timeout_s=o.timeout_s, log=self._log)
-        return Flight(helm, self._link, take=self._relay, passing=self.passing)
+        home = self._track.origin = self._options.place() or TRONDHEIM
+        return Helm(
+            vehicle, self._link, home, self._options, log=self._log, take=self._relay, passing=self.passing
+        )  # fmt: skip
 
     def _lead_vehicle(self, points: list[tuple[float, ...]]) -> Backseat:
         from ullage.flight.missions import Waypoints
@@ -253,11 +248,3 @@ class ImcSource(LiveSource):
         leave(self._link, self._role)
         if self._radars is not None:
             self._radars.close()
-
-
-def pieces(frames: dict[str, Frames], chunk: int) -> Iterator[dict[str, Frames]]:
-    """Give the frames in pieces of at most `chunk` of each sensor."""
-    start = 0
-    while part := {name: f[start : start + chunk] for name, f in frames.items() if len(f) > start}:
-        yield part
-        start += chunk

@@ -66,13 +66,6 @@ class Kind:
         object.__setattr__(self, "runs", runs)
         object.__setattr__(self, "packers", tuple(tuple(_packer(run, order) for run in runs) for order in "<>"))
 
-    @property
-    def fixed_size(self) -> int | None:
-        """Bytes of the payload, where they do not depend on the content."""
-        if any(f.kind in HELD for f in self.fields):
-            return None
-        return sum(packer.size for packer in self.packers[0])
-
     def empty(self) -> dict[str, Any]:
         """Every field at zero, empty, or none."""
         blank: dict[str, Any] = {"text": "", "raw": b"", "message": None, "messages": ()}
