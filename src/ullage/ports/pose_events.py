@@ -64,10 +64,10 @@ class Notice:
 
 
 class Feed(Protocol):
-    """Gives the poses of the model; poses of other models at the same time come first."""
+    """Gives the poses of the model or the scans of its rays; poses of other models at the same time come first."""
 
-    def next(self, timeout_s: float) -> ModelPose | OtherModels | Notice | None:
-        """Return the next event, or None if none came within the timeout."""
+    def next(self, timeout_s: float) -> Any:
+        """Return the next pose, scan, change of other models or notice, or None if none came within the timeout."""
 
     @property
     def behind_s(self) -> float:

@@ -118,9 +118,9 @@ def _opened(path: Path, options: dict[str, Any]) -> Source:
         regular_size(path, allowed=SOURCES)
         refuse_pickle(path)
     if path.name.lower().endswith(LOGS):
-        from ullage.ports.imc.port import open_log
+        from ullage.ports.imc.lsf import LsfSource
 
-        return open_log(path, options)
+        return LsfSource(path, **options)
     if path.suffix.lower() in FILES:
         if options.get("track"):
             return _on_track(path, options)
@@ -157,9 +157,9 @@ def sink(target: str | Path, **options: Any) -> Sink:
     if kind == "map":
         return MapSink(path, **options)
     if kind == "log":
-        from ullage.ports.imc.port import write_log
+        from ullage.ports.imc.lsf import LsfSink
 
-        return write_log(path, options)
+        return LsfSink(path, **options)
     if kind in OWN_SINKS:
         module, name = OWN_SINKS[kind]
         return with_options(getattr(importlib.import_module(f"ullage.ports.{module}"), name), path, options)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ullage.errors import InputError
 from ullage.fan import FULL_DEG, reaching_max_range
 from ullage.ports.cosimulation import CosimulationOptions, UnboundedSource, radar_of
 from ullage.ports.intake import Counters, Log, Stamped, Stream, checked_pose, echo_range
-from ullage.ports.pose_events import Notice, Pose, stamp_ns
+from ullage.ports.pose_events import Feed, Notice, Pose, stamp_ns
 from ullage.radar.receiver import receive_thesis
 from ullage.radar.receiving import sensor_seed
 from ullage.radar.scan import echoes_of_scans
@@ -70,19 +70,6 @@ def scan_of(message: Any, time: Any, pose: Pose, *, sensor: str = "") -> Scan:
     return Scan(stamp_ns(time), ranges, strength, fov_deg, *limits[1:], *pose, up_deg if up_deg > 0 else None, sensor)
 
 
-class ScanFeed(Protocol):
-    """Gives the scans of a simulator's ray sensors."""
-
-    def next(self, timeout_s: float) -> Scan | Notice | None:
-        """Return the next scan or notice, or None if none came within the timeout."""
-
-    def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
-        """Publish frames; their time minus the offset is the simulator's time."""
-
-    def close(self) -> None:
-        """Close the sockets."""
-
-
 def spec_of(scan: Scan, radar: RadarSpec) -> RadarSpec:
     """Return the radar with the fan of a scan.
 
@@ -114,7 +101,7 @@ class ScanSource(UnboundedSource):
 
     def __init__(
         self,
-        join: Callable[[], ScanFeed],
+        join: Callable[[], Feed],
         rig: Rig,
         options: CosimulationOptions,
         *,

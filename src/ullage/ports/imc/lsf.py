@@ -12,6 +12,7 @@ from typing import Any
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.files import write_whole
+from ullage.ports.cosimulation import options_of
 from ullage.ports.geodetic import datum_of
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, Parser, encode, make
@@ -35,7 +36,7 @@ class LsfSource(Recording):
 
     Args:
         path: `.lsf` or `.lsf.gz`.
-        options: what to take.
+        **options: what to take, as `LogSourceOptions` lists them.
 
     Raises:
         InputError: it cannot be read, or holds no packet of IMC.
@@ -43,9 +44,9 @@ class LsfSource(Recording):
 
     holds = "DevDataBinary of ullage, or SonarData"
 
-    def __init__(self, path: str | Path, options: LogSourceOptions | None = None) -> None:
+    def __init__(self, path: str | Path, **options: Any) -> None:
         super().__init__(path)
-        self._options = options or LogSourceOptions()
+        self._options = options_of(LogSourceOptions, options, "imc")
         self._table = from_xml(self._options.xml) if self._options.xml else own()
         self._vehicle = self._options.vehicle or self._logger()
 
@@ -144,14 +145,14 @@ class LsfSink(Sink):
 
     Args:
         path: `.lsf`, or `.lsf.gz`, which is packed.
-        options: what to write.
+        **options: what to write, as `LogOptions` lists them.
 
     Raises:
         InputError: it exists already, or cannot be written.
     """
 
-    def __init__(self, path: str | Path, options: LogOptions | None = None) -> None:
-        self.path, self._options = Path(path), options or LogOptions()
+    def __init__(self, path: str | Path, **options: Any) -> None:
+        self.path, self._options = Path(path), options_of(LogOptions, options, "imc")
         if self.path.exists() and not self._options.overwrite:
             raise InputError("exists already", where=self.path, allowed="a new name, or overwrite=True")
         try:

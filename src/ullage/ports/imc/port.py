@@ -1,8 +1,7 @@
-"""Entry points of the IMC port and of DUNE's logs: `imc:tcp://HOST:PORT?key=value`."""
+"""Entry points of the IMC port: `imc:tcp://HOST:PORT?key=value`."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from ullage.ports.protocol import Sink, Source
@@ -24,21 +23,3 @@ def open_sink(address: str, options: dict[str, Any]) -> Sink:
     from ullage.ports.imc.sink import ImcSink
 
     return ImcSink(address, options_of(SinkOptions, options, "imc"))
-
-
-def open_log(path: Path, options: dict[str, Any]) -> Source:
-    """Open a log of DUNE."""
-    from ullage.ports.cosimulation import options_of
-    from ullage.ports.imc.lsf import LsfSource
-    from ullage.ports.imc.options import LogSourceOptions
-
-    return LsfSource(path, options_of(LogSourceOptions, options, "imc"))
-
-
-def write_log(path: Path, options: dict[str, Any]) -> Sink:
-    """Open a new log in DUNE's format."""
-    from ullage.ports.cosimulation import options_of
-    from ullage.ports.imc.lsf import LsfSink
-    from ullage.ports.imc.options import LogOptions
-
-    return LsfSink(path, options_of(LogOptions, options, "imc"))

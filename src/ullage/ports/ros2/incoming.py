@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +38,6 @@ from ullage.ports.ros2.options import SourceOptions
 from ullage.ports.ros2.transforms import Transforms
 from ullage.specs import RadarSpec
 
-ItemT = TypeVar("ItemT")
 SETTINGS_S = 2.0
 """How long frames wait for their radar's settings [s]."""
 MOST_WAITING = 4096
@@ -57,7 +56,7 @@ class Radar:
     fields: dict[str, Any] = field(default_factory=dict)  # of Frames, once known
     frame_id: str = ""
     index: int | None = None  # of the last RadarFrame
-    raw: deque[tuple[float, Stamped[bytes]]] = field(default_factory=deque)  # time of arrival [s], RadarFrame
+    raw: deque[tuple[float, Stamped[Any]]] = field(default_factory=deque)  # time of arrival [s], RadarFrame
     placed: deque[tuple[Stamped[Frames], Floats | None]] = field(default_factory=deque)
     last: tuple[int, int, Floats] | None = None  # last track, time and pose, for the velocity of the next
 
@@ -148,9 +147,9 @@ class Incoming:
         self.counters.receive(radar.stream.topic)
         for found in radar.stream.take(t_ns, what):
             if isinstance(found.item, Frames):
-                self._queue(radar, with_item(found, found.item), self._now())
+                self._queue(radar, found, found.item, self._now())
             else:
-                radar.raw.append((self._now(), with_item(found, found.item)))
+                radar.raw.append((self._now(), found))
         if len(radar.raw) > MOST_WAITING:
             radar.raw.popleft()
             self.counters.drop(radar.stream.topic, "lost", "no settings came")
@@ -232,7 +231,7 @@ class Incoming:
             came_s, stamped = radar.raw.popleft()
             self.take(radar.stream.topic, self._understand_one, radar, came_s, stamped)
 
-    def _understand_one(self, radar: Radar, came_s: float, stamped: Stamped[bytes]) -> None:
+    def _understand_one(self, radar: Radar, came_s: float, stamped: Stamped[Any]) -> None:
         data = stamped.item
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -241,10 +240,10 @@ class Incoming:
             self._log(str(warning.message))
         radar.fields = {"spec": made.spec, "range_m": made.range_m, "unit": made.unit} | radar.fields
         radar.frame_id = conversions.text_in(data, 0).lstrip("/")
-        self._queue(radar, with_item(stamped, replace(made, truth=None)), came_s)
+        self._queue(radar, stamped, replace(made, truth=None), came_s)
 
-    def _queue(self, radar: Radar, stamped: Stamped[Frames], came_s: float) -> None:
-        on_our_clock = shifted(stamped.item, stamped.t_ns - stamped.stamp_ns)
+    def _queue(self, radar: Radar, stamped: Stamped[Any], made: Frames, came_s: float) -> None:
+        on_our_clock = shifted(made, stamped.t_ns - stamped.stamp_ns)
         radar.queue.put(stamped._replace(item=on_our_clock), came_s)
 
     def finish(self) -> None:
@@ -318,11 +317,6 @@ class Incoming:
         stack = np.stack(known)
         path = Trajectory(np.array(times), stack[:, :3, 3], matrix_quat(stack[:, :3, :3]))
         return path[int(before is not None) :]
-
-
-def with_item(stamped: Stamped[Any], item: ItemT) -> Stamped[ItemT]:
-    """Return a timed item with the same time and another item."""
-    return Stamped(item, stamped.t_ns, stamped.stamp_ns, stamped.track, stamped.starts)
 
 
 def _cause(error: Exception) -> str:
