@@ -128,8 +128,8 @@ class McapSource(Recording):
         for name, mine in waiting.items():
             messages, mine.messages = mine.messages, []
             counters.receive(name, len(messages))
-            if messages and (frames := _frames(name, mine.settings, messages, counters)) is not None:
-                out[name] = frames
+            if messages and (parts := sound_frames(name, mine.settings, messages, counters)):
+                out[name] = joined(parts)
         if out:
             yield out
 
@@ -220,19 +220,26 @@ class McapSource(Recording):
             warnings.warn(f"{self.path}: {what}; all that can be read is used", UllageWarning, stacklevel=2)
 
 
-def _frames(
-    name: str, settings: dict[str, Any], messages: list[Stamped[bytes]], counters: Counters
-) -> Frames | None:  # fmt: skip
-    """Frames of messages; those that cannot be read are counted and left out."""
+def sound_frames(
+    name: str, settings: dict[str, Any], messages: list[Stamped[bytes]], counters: Counters, *, topic: str = ""
+) -> list[Frames]:  # fmt: skip
+    """Decode RadarFrame messages of one sensor at once, or one by one where some cannot be read; these are counted.
+
+    Args:
+        name: of the sensor.
+        settings: fields of Frames, from `settings_of`.
+        messages: with their times.
+        counters: count those that cannot be read.
+        topic: for the counts; empty: the sensor's name.
+    """
     try:
         t_ns = np.array([message.t_ns for message in messages])
-        return conversions.frames_of([message.item for message in messages], name, settings, t_ns)
+        return [conversions.frames_of([message.item for message in messages], name, settings, t_ns)]
     except Exception as error:  # damaged messages can raise any error in the decoders
         if len(messages) == 1:
-            counters.drop(name, "bad", str(error).partition("\n")[0] or type(error).__name__)
-            return None
-    parts = [frames for message in messages if (frames := _frames(name, settings, [message], counters)) is not None]
-    return joined(parts) if parts else None
+            counters.drop(topic or name, "bad", str(error).partition("\n")[0] or type(error).__name__)
+            return []
+    return [one for message in messages for one in sound_frames(name, settings, [message], counters, topic=topic)]
 
 
 def unreadable() -> tuple[type[Exception], ...]:

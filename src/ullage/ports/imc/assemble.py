@@ -6,15 +6,14 @@ import math
 import time
 from collections import deque
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory, joined
-from ullage.errors import InputError
 from ullage.geometry import C0, matrix_quat, quat_matrix, rpy_quat
 from ullage.ports import conversions
 from ullage.ports import schema as ros
@@ -24,6 +23,7 @@ from ullage.ports.imc.frames import carried, mount_of, profile_of
 from ullage.ports.intake import Clock, Counters, Log, Once, Place, PoseQueue, Stamped, Stream
 from ullage.ports.ned import FLIP, SWAP
 from ullage.ports.pose_events import BodyState, path_along
+from ullage.ports.replay import sound_frames
 from ullage.specs import MountSpec, RadarSpec
 
 MOST_WAITING = 4096  # messages of one sensor that wait for a pose or for their settings
@@ -156,7 +156,7 @@ class _Sensor:
     stream: Stream[bytes]  # exact frames, on their own clock
     profiles: PoseQueue[tuple[int, Floats, Floats]]  # stamp, ranges, amplitudes
     settings: dict[str, Any] = field(default_factory=dict)
-    exact_frames: list[tuple[int, bytes]] = field(default_factory=list)  # time and CDR
+    exact_frames: list[Stamped[bytes]] = field(default_factory=list)
     axis: Floats | None = None
     exact: bool = False
     name: str = ""
@@ -247,50 +247,28 @@ class FrameAssembler:
                 self._counters.drop(sensor.stream.topic, "lost", "frames came before their settings")
             else:
                 stamp_ns = int(conversions.times_in([data])[0])
-                sensor.exact_frames += [(one.t_ns, one.item) for one in sensor.stream.take(stamp_ns, data)]
+                sensor.exact_frames += sensor.stream.take(stamp_ns, data)
         except Exception as error:  # bytes of another system may cause any error
-            self._bad(sensor, error)
+            cause = str(error).partition("\n")[0] or type(error).__name__
+            self._counters.drop(sensor.stream.topic, "bad", f"cannot be read: {cause}")
             return
         sensor.exact = True
         over = len(sensor.exact_frames) - MOST_WAITING
         self._counters.drop(sensor.stream.topic, "lost", f"more than {MOST_WAITING} frames wait", count=over)
         del sensor.exact_frames[:-MOST_WAITING]
 
-    def _bad(self, sensor: _Sensor, error: Exception) -> None:
-        cause = str(error).partition("\n")[0] or type(error).__name__
-        self._counters.drop(sensor.stream.topic, "bad", f"cannot be read: {cause}")
-
     def _exact_frames(self, sensor: _Sensor) -> Frames | None:
-        if "spec" not in sensor.settings:
-            return None
         waiting, sensor.exact_frames = sensor.exact_frames, []
-        if not waiting:
+        if "spec" not in sensor.settings or not waiting:
             return None
-        with suppress(Exception):  # if one is damaged, each is read separately
-            frames = self._made(sensor, waiting)
-            if frames.poses is not None or len(waiting) == 1:
-                return frames
-        parts = [made for one in waiting if (made := self._one(sensor, one)) is not None]
+        sound = partial(sound_frames, sensor.name, sensor.settings, counters=self._counters, topic=sensor.stream.topic)
+        parts = sound(waiting)
+        if parts and len(parts[0]) == len(waiting) > 1 and parts[0].poses is None:  # some may have one
+            parts = [found for one in waiting for found in sound([one])]
         posed = [made for made in parts if made.poses is not None]
         if posed:
             self._counters.drop(sensor.stream.topic, "no pose", "frames without one", count=len(parts) - len(posed))
         return joined(posed or parts) if parts else None
-
-    def _made(self, sensor: _Sensor, stamped: list[tuple[int, bytes]]) -> Frames:
-        times = np.array([t_ns for t_ns, _ in stamped], np.int64)
-        return conversions.frames_of([data for _, data in stamped], sensor.name, sensor.settings, times)
-
-    def _one(self, sensor: _Sensor, stamped: tuple[int, bytes]) -> Frames | None:
-        """Return one frame, or None if it is damaged."""
-        try:
-            made = self._made(sensor, [stamped])
-            wanted = sensor.settings["range_m"]
-            if len(made.range_m) != len(wanted):
-                raise InputError(f"{len(made.range_m)} bins instead of {len(wanted)}")
-        except Exception as error:
-            self._bad(sensor, error)
-            return None
-        return made
 
     def _mount(self, part: Part, packet: Packet) -> None:
         state, sensor = packet["location"][0], self._of(part)

@@ -12,6 +12,7 @@ from ullage.ports.imc.relay import Outgoing, RosToImc
 from ullage.ports.imc.wires import Entity, Identity
 from ullage.ports.intake import Log, warn
 from ullage.ports.protocol import Item, Passed, Sink
+from ullage.ports.rate_limiter import RateLimiter
 
 FIRST_RELAYED, LAST_RELAYED = 100, 254
 """Entity numbers of relayed systems; radars have numbers from 10."""
@@ -40,13 +41,12 @@ class ImcSink(Sink):
             options.system_id, options.name, entities=[Entity(BODY, options.name, "ullage")], lat_rad=home.lat_rad,
             lon_rad=home.lon_rad, height_m=home.height_m,
         )  # fmt: skip
-        self._pace = options.pace
+        self._limiter = RateLimiter(options.pace)
         self._link: Link = open_link(place, options, me, role="sink", log=log)
         self._encoder = MessageEncoder(options, home, self._link.enter)
         self._from_ros, self._relayed = RosToImc(options.system_id, log), dict[str, int]()
         self._shares = False  # the last entity stands for several parts
-        self._start: tuple[float, float] | None = None  # wall clock and stream clock of the first message [s]
-        self._epoch_s = 0.0
+        self._epoch_s: float | None = None  # Unix time at 0 of the stream's clock [s]
 
     def write(self, item: Item) -> None:
         """Send frames, chunks of frames, the body's path, or ROS messages; ignore everything else."""
@@ -59,13 +59,10 @@ class ImcSink(Sink):
     def _send(self, timed: TimedMessage) -> None:
         """Send a message when it is due: stream time runs `pace` times as fast as wall time."""
         t_s = timed.t_ns * 1e-9
-        if self._start is None:
-            self._start = (time.monotonic(), t_s)
+        if self._epoch_s is None:
             self._epoch_s = 0.0 if t_s > EPOCH_S else time.time() - t_s
-        if self._pace > 0:
-            due = self._start[0] + (t_s - self._start[1]) / self._pace
-            if (wait := due - time.monotonic()) > 0:
-                time.sleep(min(wait, 60.0))
+        now = time.monotonic()
+        time.sleep(max(0.0, self._limiter.due_s(timed.t_ns, now) - now))
         self._link.send(timed.message, entity=timed.entity, t_s=self._epoch_s + t_s)
 
     def _relay(self, one: Outgoing) -> None:
