@@ -1,7 +1,7 @@
 // What gz-sim's server says of a world, on the real library of Gazebo Transport: poses, statistics, a scan, the scene.
 // Started as PROGRAM WORLD MODEL; takes words on its standard input: pause, go, reset, delete, back, push, quit, and
-// damage (20 messages cut or of other bytes, 20 poses without a number, 20 with no unit quaternion), ahead and behind
-// (the clock steps an hour), flood (30,000 poses at once, a millisecond apart). After push the wall comes nearer by half a metre a second, as far as x = 2.
+// damage (20 messages cut or of other bytes, 20 poses without a number, 20 with no unit quaternion), flood (30,000
+// poses at once, a millisecond apart). After push the wall comes nearer by half a metre a second, as far as x = 2.
 // Prints what it hears on the range topic of the model's front radar.
 #include <algorithm>
 #include <atomic>
@@ -65,8 +65,6 @@ int main(int, char **argv)
       if (word == "back") gone = false;
       if (word == "push") pushed = step.load();
       if (word == "damage") damaged = 20;
-      if (word == "ahead") step += 3600 * 50;
-      if (word == "behind") step -= 3600 * 50;
       if (word == "flood") flood = true;
       if (word == "quit") done = true;
     }

@@ -15,7 +15,7 @@ from test_imc_codec import one_of_each
 
 import ullage as ul
 from ullage.errors import InputError, UllageWarning
-from ullage.ports.imc.codec import Parser, encode
+from ullage.ports.imc.codec import encode
 from ullage.ports.imc.table import from_xml, own, shared, to_xml
 
 
@@ -153,17 +153,6 @@ def written(folder: Path) -> Path:
     return folder / "Data.lsf"
 
 
-def test_imcpy_reads_every_message_of_a_log_and_writes_the_same_bytes(tmp_path: Path) -> None:
-    imcpy = pytest.importorskip("imcpy")
-    data = written(tmp_path).read_bytes()
-    parser = Parser()
-    for packet in [*parser.feed(data), *parser.finish()]:
-        there = imcpy.Packet.deserialize(encode(packet))
-        assert type(there).__name__ == packet.name
-        assert bytes(there.serialize()) == encode(packet)
-    assert parser.garbage == 0
-
-
 def test_numbers_have_the_names_that_dune_gives_them() -> None:
     imcpy = pytest.importorskip("imcpy", reason="imcpy, which holds DUNE's own codec, is not installed")
 
@@ -191,23 +180,6 @@ def learnt(folder: Path) -> None:
     (folder / "IMC.xml").write_bytes(gzip.decompress((folder / "IMC.xml.gz").read_bytes()))
     run = [sys.executable, "-m", "pyimclsts.extract"]
     subprocess.run(run, cwd=folder, check=True, capture_output=True, input=b"", timeout=60)
-
-
-def test_pyimclsts_reads_a_log_by_the_definition_beside_it(tmp_path: Path) -> None:
-    learnt(tmp_path)
-    code = """
-import sys, pyimclsts.network as network
-for line in sys.stdin:
-    message = network.unpack(bytes.fromhex(line))
-    print(type(message).__name__, message.pack(is_big_endian=False).hex())
-"""
-    data = (tmp_path / "Data.lsf").read_bytes()
-    sent = [(packet.name, encode(packet).hex()) for packet in Parser().feed(data)]
-    told = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True,
-        input="\n".join(hexed for _, hexed in sent), timeout=60,
-    )  # fmt: skip
-    assert [tuple(line.split()) for line in told.stdout.splitlines()] == sent
 
 
 def test_pyimclsts_reads_and_writes_all_349_messages_in_either_byte_order(tmp_path: Path) -> None:
