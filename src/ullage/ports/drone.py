@@ -103,17 +103,15 @@ class TopicDrone(ABC):
         out = []
         for data in self._arrived():
             self.counters.receive(self._odom)
-            try:
+            with self.counters.reading(self._odom):
                 found = self._state(data)
-            except Exception as error:  # a damaged message can raise any error in the decoder
-                found = f"cannot be read: {type(error).__name__}"
-            if isinstance(found, str):
-                self.counters.drop(self._odom, "bad", found)
-            elif found.t_ns <= self._last_ns:
-                self.counters.drop(self._odom, "late")
-            else:
-                self._last_ns = found.t_ns
-                out.append(found)
+                if isinstance(found, str):
+                    self.counters.drop(self._odom, "bad", found)
+                elif found.t_ns <= self._last_ns:
+                    self.counters.drop(self._odom, "late")
+                else:
+                    self._last_ns = found.t_ns
+                    out.append(found)
         return out
 
     @abstractmethod

@@ -17,6 +17,7 @@ import time
 import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, get_args
 
@@ -25,7 +26,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from ullage.arrays import Floats
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError, UllageWarning, one_line
 from ullage.specs import Spec
 
 Log = Callable[[str], None]
@@ -160,6 +161,16 @@ class Counters:
             known = self._causes.setdefault(entry, [])
             if cause and len(known) < MOST_CAUSES and (short := cause[:MOST_LETTERS]) not in known:
                 known.append(short)
+
+    @contextmanager
+    def reading(self, topic: str) -> Iterator[None]:
+        """Count a message that cannot be read, whatever error a stranger's bytes cause, and go on after the block."""
+        try:
+            yield
+        except Exception as error:
+            text = one_line(str(error), most=MOST_LETTERS)
+            refused = isinstance(error, InputError) and text
+            self.drop(topic, "bad", text if refused else f"cannot be read: {type(error).__name__} {text}".strip())
 
     def step(self, text: str) -> None:
         """Count a step of a clock, and report it unless the clock steps all the time."""

@@ -6,6 +6,7 @@ import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -131,16 +132,11 @@ class EventFeed(ABC, Generic[Event_co]):
         self._source.close()
 
     def _read_event(self, event: Any) -> Any:
-        """Return the result of an event; count a message that cannot be read, whatever error its bytes cause."""
-        try:
-            return self._take(event)
-        except Exception as error:
-            topic = getattr(event, "topic", "")
-            if not topic:
-                raise
-            cause = str(error).partition("\n")[0] or type(error).__name__
-            self.counters.drop(topic, "bad", f"cannot be read: {cause}")
-            return None
+        """Return the result of an event, None for a message that cannot be read."""
+        found, topic = None, getattr(event, "topic", "")
+        with self.counters.reading(topic) if topic else nullcontext():
+            found = self._take(event)
+        return found
 
     def _valid_poses(self, topic: str, poses: Mapping[str, Any]) -> dict[str, Pose]:
         """Return the poses of other models by name, and count those that are not valid."""

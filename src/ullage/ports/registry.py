@@ -162,10 +162,11 @@ def sink(target: str | Path, **options: Any) -> Sink:
         return LsfSink(path, **options)
     if kind in OWN_SINKS:
         module, name = OWN_SINKS[kind]
-        return with_options(getattr(importlib.import_module(f"ullage.ports.{module}"), name), path, options)
-    writer: Any = plugins.load("ullage.sinks", kind)
-    added: Sink = with_options(writer, path, options)
-    return added
+        writer: Any = getattr(importlib.import_module(f"ullage.ports.{module}"), name)
+    else:
+        writer = plugins.load("ullage.sinks", kind)
+    made: Sink = with_options(writer, path, options)
+    return made
 
 
 def _kind_of_sink(path: Path) -> str:

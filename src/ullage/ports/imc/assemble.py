@@ -240,27 +240,22 @@ class FrameAssembler:
             return
         kind, data = found
         self._counters.receive(sensor.stream.topic)
-        try:
+        with self._counters.reading(sensor.stream.topic):
             if kind == ros.SETTINGS:
                 sensor.settings, sensor.name = conversions.settings_of(data), conversions.text_in(data, 1)
             elif conversions.text_in(data, 1) != sensor.name:
                 self._counters.drop(sensor.stream.topic, "lost", "frames came before their settings")
             else:
-                stamp_ns = int(conversions.times_in([data])[0])
-                sensor.exact_frames += sensor.stream.take(stamp_ns, data)
-        except Exception as error:  # bytes of another system may cause any error
-            cause = str(error).partition("\n")[0] or type(error).__name__
-            self._counters.drop(sensor.stream.topic, "bad", f"cannot be read: {cause}")
-            return
-        sensor.exact = True
+                sensor.exact_frames += sensor.stream.take(conversions.time_in(data), data)
+            sensor.exact = True
         over = len(sensor.exact_frames) - MOST_WAITING
         self._counters.drop(sensor.stream.topic, "lost", f"more than {MOST_WAITING} frames wait", count=over)
         del sensor.exact_frames[:-MOST_WAITING]
 
     def _exact_frames(self, sensor: _Sensor) -> Frames | None:
-        waiting, sensor.exact_frames = sensor.exact_frames, []
-        if "spec" not in sensor.settings or not waiting:
+        if "spec" not in sensor.settings or not sensor.exact_frames:
             return None
+        waiting, sensor.exact_frames = sensor.exact_frames, []
         sound = partial(sound_frames, sensor.name, sensor.settings, counters=self._counters, topic=sensor.stream.topic)
         parts = sound(waiting)
         if parts and len(parts[0]) == len(waiting) > 1 and parts[0].poses is None:  # some may have one

@@ -77,12 +77,9 @@ class TopicControls:
         self._find_topics()
         while (found := self._peer.wait(0.0)) is not None:
             topic, kind, data = found
-            try:
-                wrong = self._take(kind, ros.from_bytes(kind, data), pilot, now_s)
-            except Exception as error:  # a damaged message can raise any error in the decoder
-                wrong = f"cannot be read: {type(error).__name__}"
-            if wrong:
-                self.counters.drop(topic, "bad", wrong)
+            with self.counters.reading(topic):
+                if wrong := self._take(kind, ros.from_bytes(kind, data), pilot, now_s):
+                    self.counters.drop(topic, "bad", wrong)
 
     def close(self) -> None:
         """Leave the network."""

@@ -95,10 +95,8 @@ class Incoming:
             take: the method.
             *what: its arguments.
         """
-        try:
+        with self.counters.reading(topic):
             take(*what)
-        except Exception as error:  # a damaged message can raise any error in the decoders
-            self.counters.drop(topic, "bad", _cause(error))
 
     def taker(self, topic: str, kind: str, *, fixed: bool = False) -> Callable[[bytes], None]:
         """Return the method that takes the messages of a topic; `fixed`: its transforms hold for ever.
@@ -317,12 +315,6 @@ class Incoming:
         stack = np.stack(known)
         path = Trajectory(np.array(times), stack[:, :3, 3], matrix_quat(stack[:, :3, :3]))
         return path[int(before is not None) :]
-
-
-def _cause(error: Exception) -> str:
-    """Describe the error of a message in one line."""
-    text = str(error).splitlines()[0] if str(error) else ""
-    return text if isinstance(error, InputError) and text else f"cannot be read: {type(error).__name__} {text}".strip()
 
 
 def alike(a: Frames, b: Frames) -> bool:
