@@ -11,6 +11,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Protocol
 
 from ullage.arrays import Floats
@@ -304,7 +305,7 @@ class Helm:
                     self._carry_out(packet)
                     self._take(packet)
                 if fresh := self._fly():
-                    self._passing.give(lambda fresh=fresh: [path_along(fresh)])
+                    self._passing.give(partial(map, path_along, [fresh]))
                 for pose in fresh:
                     self.inbox.put(pose, topic="flight")
         except BaseException as error:  # `poses` raises it
