@@ -138,6 +138,24 @@ def test_the_state_of_a_flight_that_takes_longer_than_real_time_comes_in_short_p
     assert any("longer than real time" in line for line in said)
 
 
+def test_frames_that_nobody_took_in_time_are_left_out_and_the_rest_comes_after_the_landing() -> None:
+    items, options = list[Passed | ul.Trajectory](), FlyOptions(fidelity="thesis", rate_hz=10)
+    room = ul.scenes.room(size_m=(6, 4, 3))
+    with HandFlownSource(room, ul.Rig.preset("single"), options, Script(), start=(0, 0, 0)) as source:
+        source.passing.to(items.append)
+        pieces = source.stream()
+        next(pieces)
+        source.keep_up(0.5)
+        while source.behind_s < 1.5:
+            time.sleep(0.02)
+        fresh = next(iter(next(pieces).values()))
+        assert source.counters.dropped("lost", topic="frames") >= 5
+        source.stop()
+        last = [fresh, *(frames for piece in pieces for frames in piece.values())][-1]
+    landed = [item.t_ns[-1] for item in items if isinstance(item, ul.Trajectory)][-1]
+    assert 0 <= landed - last.t_ns[-1] < 1.1e8  # the frames at 10 Hz go on to the last pose
+
+
 def test_a_start_in_or_near_something_is_refused() -> None:
     room = ul.scenes.room(size_m=(6, 4, 3))
     with pytest.raises(InputError, match=r"the start at \(2\.90, 0\.00, 0\.00\) m is .* from"):
