@@ -6,8 +6,11 @@ import math
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Iterable, Mapping
 from typing import Self
+
+import numpy as np
 
 from ullage.data import Frames
 from ullage.errors import InputError
@@ -25,6 +28,7 @@ AHEAD_S = 2.0
 """How far the source may run ahead of what was sent [s of stream]."""
 WAIT_S = 0.1
 """Between two looks at how old the last distances are [s]."""
+MOST_AGES = 100_000
 LEAST_HZ = 10.0
 """Fewer distances a second make an autopilot slow or stop."""
 TELL_S = 10.0
@@ -70,6 +74,7 @@ class MavlinkSink:
         self._rate = _Rate(self._log)
         self._faults: dict[str, str] = {}  # that the autopilot was told of
         self._told_s = 0.0
+        self._ages_s: deque[float] = deque(maxlen=MOST_AGES)  # from frames of the present to their messages
         self._newest: ObstacleSectors | None = None
         self._brake = ModeBrake(self.link, options, self._send_text) if options.guard == "brake" else None
         self._queue: queue.Queue[ObstacleSectors | None] = queue.Queue(max(round(AHEAD_S * options.obstacle_hz), 1))
@@ -178,6 +183,8 @@ class MavlinkSink:
             for message in distance_sensors(sectors, t_ns // 1_000_000):
                 self.link.send(message)
         self.link.send(obstacle_distance(sectors, t_ns // 1000))
+        if self._live:
+            self._ages_s.append(time.time() - sectors.t_ns * 1e-9)
         self._tell_faults(sectors)
         self._rate.count(time.monotonic())
 
@@ -218,6 +225,9 @@ class MavlinkSink:
                 self._brake.judge(self._newest, math.inf)  # no more distances come
             if self.link.autopilot is None:
                 self._log(f"{self.link.name}: no HEARTBEAT of an autopilot came; the distances may have reached nobody")
+            if self._ages_s:
+                middle, most = np.percentile(self._ages_s, [50, 99]) * 1e3
+                self._log(f"{self.link.name}: from frame to message {middle:.0f} ms (median), {most:.0f} ms (99 %)")
             for line in self.link.counters.lines():
                 self._log(line)
         finally:
