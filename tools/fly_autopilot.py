@@ -16,7 +16,6 @@ import json
 import math
 import os
 import re
-import signal
 import socket
 import subprocess
 import sys
@@ -105,6 +104,7 @@ class Case:
     speeds_m_s: tuple[float, ...] = (0.5, 1.0, 1.5)
     passes: bool = False  # it is right to fly on
     floor: bool = True
+    rig: str = "thesis-4"
     lost_at_m: float = math.inf  # ullage ends once the vehicle is there
     parameters: dict[str, float] = field(default_factory=dict)
 
@@ -113,15 +113,23 @@ CASES = {
     "wall": Case(wall(), ("guided", "loiter", "auto")),
     "wall, no floor": Case(wall(), ("guided", "loiter"), floor=False),
     "wall, no backing away": Case(wall(), floor=False, speeds_m_s=(1.0,), parameters={"AVOID_BACKUP_SPD": 0}),
-    "wall at 30 deg": Case(wall(30), ("guided", "loiter")),
+    "wall at 30 deg": Case(wall(30), ("guided", "loiter", "auto")),
     "corner": Case(wall() + box("side", (AHEAD_M / 2, 3, 2), (AHEAD_M, 0.2, 6)), speeds_m_s=(1.0,)),
     "pole 5 cm": Case(rod("pole", (AHEAD_M, 0, 2), 0.025, 4)),
     "wire 3 mm": Case(rod("wire", (AHEAD_M, 0, HEIGHT_M), 0.0015, 12, level=True)),
-    "gap 1.5 m": Case(gap(1.5), speeds_m_s=(1.0,), passes=True),
-    "gap 2.2 m": Case(gap(2.2), speeds_m_s=(1.0,), passes=True, parameters={"AVOID_MARGIN": 1.0}),
-    "wall 1 m beside": Case(box("wall", (AHEAD_M, -1.1, 2), (8, 0.2, 6)), speeds_m_s=(0.5, 1.0), passes=True),
+    "gap 1.5 m": Case(gap(1.5), speeds_m_s=(1.0,), passes=True, parameters={"AVOID_MARGIN": 0.5}),
+    "gap 2.2 m": Case(gap(2.2), speeds_m_s=(1.0,), passes=True, parameters={"AVOID_MARGIN": 0.7}),
+    "wall 1 m beside": Case(
+        box("wall", (AHEAD_M, -1.1, 2), (8, 0.2, 6)),
+        speeds_m_s=(0.5, 1.0),
+        passes=True,
+        parameters={"AVOID_MARGIN": 0.7},
+    ),
     "hover in a hall": Case(hall(14, 6), speeds_m_s=(0.0,)),
-    "radars lost": Case(wall(), speeds_m_s=(1.0,), lost_at_m=2.0),
+    "radars lost": Case(wall(), ("guided", "auto"), (1.0,), lost_at_m=2.0),
+    "wall 10 m ahead, one radar": Case(
+        box("wall", (10.1, 0, 2), (0.2, 20, 6)), speeds_m_s=(0.0,), floor=False, rig="single"
+    ),
 }
 
 
@@ -134,6 +142,8 @@ class Flight:
     speed_m_s: float
     floor: bool = True
     do: str = ""
+    options: str = ""  # of the place that takes the distances
+    parameters: dict[str, float] = field(default_factory=dict)  # set beside those of the case
     closest_m: float = math.nan
     hold_m: float = math.nan  # median distance in the last 5 s
     ahead_m: float = math.nan  # place along the path at the end
@@ -143,6 +153,7 @@ class Flight:
     hit: bool = False
     estimate_off_m: float = math.nan  # greatest difference of the estimated pose from the simulated one
     late: int = 0  # distances that ullage dropped
+    ages_ms: tuple[float, ...] = ()  # from frame to message: median, and 99 %
     messages: list[str] = field(default_factory=list)  # of ArduPilot, from take-off on
     failed: str = ""  # why it did not fly
 
@@ -265,7 +276,8 @@ def flown(binary: Path, flight: Flight, do: str, push_s: float) -> None:
     """Fly once, and fill in what was seen."""
     case, gcs, radars = CASES[flight.case], free_port(), free_port()
     speed_cm_s = 100 * flight.speed_m_s
-    parameters = PARAMETERS | {"LOIT_SPEED": max(speed_cm_s, 20), "WPNAV_SPEED": max(speed_cm_s, 20)} | case.parameters
+    parameters = PARAMETERS | {"LOIT_SPEED": max(speed_cm_s, 20), "WPNAV_SPEED": max(speed_cm_s, 20)}
+    parameters |= case.parameters | flight.parameters
     with tempfile.TemporaryDirectory(prefix="fly_autopilot") as folder:
         world, log = Path(folder, "world.sdf"), Path(folder, "ullage.log")
         world.write_text(
@@ -275,8 +287,8 @@ def flown(binary: Path, flight: Flight, do: str, push_s: float) -> None:
         Path(folder, "own.parm").write_text("".join(f"{name} {value}\n" for name, value in parameters.items()))
         home = ",".join(str(value) for value in (*HOME, 90))
         place = f"mavlink:udpin://127.0.0.1:{radars}"
-        ours = [sys.executable, "-m", "ullage", "run", f"{place}?world={world}&rig=thesis-4&wait_s=300", "--to", place,
-                "--out", folder, *(["--do", do] if do else [])]  # fmt: skip
+        ours = [sys.executable, "-m", "ullage", "run", f"{place}?world={world}&rig={case.rig}&wait_s=300",
+                "--to", f"{place}?{flight.options}", "--out", folder, *(["--do", do] if do else [])]  # fmt: skip
         theirs = [str(binary), "--model", "quad", "--home", home, "--speedup", "1", "--wipe", "--defaults", "own.parm",
                   "--serial0", f"udpclient:127.0.0.1:{gcs}", "--serial1", f"udpclient:127.0.0.1:{radars}",
                   "--base-port", str(free_port()), "--rc-in-port", str(free_port())]  # fmt: skip
@@ -291,12 +303,14 @@ def flown(binary: Path, flight: Flight, do: str, push_s: float) -> None:
                 _ended(one)
         lines = log.read_text()
         flight.late = sum(int(count) for count in re.findall(r"OBSTACLE_DISTANCE: .*?(\d+) late", lines))
+        ages = re.search(r"frame to message (\d+) ms \(median\), (\d+) ms", lines)
+        flight.ages_ms = tuple(float(value) for value in ages.groups()) if ages else ()
         if flight.failed:
             flight.failed += f" (ullage: {lines.strip().splitlines()[-1:]})"
 
 
 def _ended(process: subprocess.Popen[bytes]) -> None:
-    process.send_signal(signal.SIGINT)
+    process.terminate()
     try:
         process.wait(30)
     except subprocess.TimeoutExpired:
@@ -317,7 +331,7 @@ def _fly_case(flight: Flight, case: Case, pilot: Pilot, ours: subprocess.Popen[b
     far = lambda: pilot.at[0] > 2 * AHEAD_M  # noqa: E731
     if math.isfinite(case.lost_at_m):
         pilot.fly(push_s, send, until=lambda: pilot.at[0] > case.lost_at_m)
-        ours.send_signal(signal.SIGINT)
+        ours.terminate()
     pilot.fly(way_s + push_s, send, until=far)
     flight.messages = list(dict.fromkeys(pilot.texts))
     measure(flight, case, np.array([row for row in pilot.truth if row[0] >= begun]), x0)
@@ -347,15 +361,27 @@ def measure(flight: Flight, case: Case, track: Any, x0: tuple[float, float, floa
 
 def table(flights: list[Flight]) -> str:
     """The rows in Markdown."""
-    head = ["case", "mode", "asked [m/s]", "fastest [m/s]", "closest [m]", "held [m]", "ended at x [m]", "hit", "late"]
+    head = [
+        "case",
+        "mode",
+        "asked [m/s]",
+        "fastest [m/s]",
+        "closest [m]",
+        "held [m]",
+        "ended at x [m]",
+        "hit",
+        "late",
+        "99 % [ms]",
+    ]
     rows = [head, ["---"] * len(head)]
     for one in flights:
         if one.failed:
-            rows.append([one.case, one.mode, f"{one.speed_m_s:g}", one.failed, *[""] * 5])
+            rows.append([one.case, one.mode, f"{one.speed_m_s:g}", one.failed, *[""] * 6])
             continue
         rows.append([
             one.case, one.mode, f"{one.speed_m_s:g}", f"{one.fastest_m_s:.2f}", f"{one.closest_m:.2f}",
             f"{one.hold_m:.2f}", f"{one.ahead_m:.1f}", "hit" if one.hit else "", str(one.late),
+            f"{one.ages_ms[1]:.0f}" if one.ages_ms else "",
         ])  # fmt: skip
     lines = ["| " + " | ".join(row) + " |" for row in rows]
     said = dict.fromkeys(text for one in flights for text in one.messages)
@@ -370,6 +396,8 @@ def main() -> None:
     parser.add_argument("--mode", action="append", choices=sorted(MODES))
     parser.add_argument("--speed", action="append", type=float)
     parser.add_argument("--do", default="obstacles", help="stages of ullage; '' for those that it takes by itself")
+    parser.add_argument("--options", default="", help="of the sink's place, such as guard=brake&stop_s=0.5")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a parameter of ArduPilot")
     parser.add_argument("--push", type=float, default=20.0, help="seconds that it is pushed on at an obstacle")
     parser.add_argument("--to", type=Path, default=Path("autopilot_flights"), help="folder of the table")
     chosen = parser.parse_args()
@@ -381,15 +409,17 @@ def main() -> None:
     if unknown := set(chosen.only or ()) - set(CASES):
         parser.error(f"no case {sorted(unknown)} (allowed: {', '.join(CASES)})")
     flights = [Flight(**row) for row in json.loads(rows.read_text())] if rows.exists() else []
-    done = {(one.case, one.mode, one.speed_m_s, one.do) for one in flights if not one.failed}
+    chosen.set = {name: float(value) for name, _, value in (text.partition("=") for text in chosen.set)}
+    done = [(one.case, one.mode, one.speed_m_s, one.do, one.options, one.parameters) for one in flights
+            if not one.failed]  # fmt: skip
     flights = [one for one in flights if not one.failed]
     for name in chosen.only or CASES:
         for mode in CASES[name].modes:
             for speed_m_s in CASES[name].speeds_m_s:
                 wanted = mode in (chosen.mode or MODES) and speed_m_s in (chosen.speed or [speed_m_s])
-                if not wanted or (name, mode, speed_m_s, chosen.do) in done:
+                if not wanted or (name, mode, speed_m_s, chosen.do, chosen.options, chosen.set) in done:
                     continue
-                flight = Flight(name, mode, speed_m_s, CASES[name].floor, chosen.do)
+                flight = Flight(name, mode, speed_m_s, CASES[name].floor, chosen.do, chosen.options, chosen.set)
                 flown(chosen.binary.resolve(), flight, chosen.do, chosen.push)
                 flights.append(flight)
                 rows.write_text(json.dumps([asdict(one) for one in flights], indent=1))

@@ -145,6 +145,17 @@ def test_allowed_speed_is_what_stops_within_the_free_distance() -> None:
     assert stopping_distance(1.0, spec) == pytest.approx(fast + spec.braking_m_s2 * spec.lag_s**2 / 2)
 
 
+@pytest.mark.parametrize("speed", [0.2, 0.7, 1.5])
+def test_the_velocity_of_another_pilot_is_judged_by_the_distance_that_it_needs_to_stop(speed: float) -> None:
+    guard, own = Guard(GuardSpec(), hull_m=HULL_M), odometry((speed, 0, 0))
+    needed = HULL_M + GuardSpec().margin_m + float(stopping_distance(speed, GuardSpec()))
+    states = [guard.judge(sectors(0, ("front", needed + more, speed)), own).state for more in (0.01, -0.01)]
+    assert states == ["free", "stop"]
+    assert guard.judge(sectors(0, ("back", 0.8, -speed)), own).state == "free"
+    blind = guard.judge(sectors(0, dead=("front",)), own)
+    assert (blind.state, blind.sensor) == ("stop", "front")
+
+
 def test_a_wall_abeam_does_not_stop_a_flight_along_it() -> None:
     guard = Guard(GuardSpec(), hull_m=HULL_M)
     assert settled(guard, (0.6, 0, 0), ("left", 0.8, 0.0), own=(0.5, 0, 0)).state == "free"

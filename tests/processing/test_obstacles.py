@@ -197,13 +197,30 @@ def test_a_floor_of_known_height_is_no_obstacle_to_one_radar(tmp_path: Path) -> 
         assert (0 not in filled(last)) == free
 
 
-def test_a_folded_wall_is_not_near_with_a_staggered_pulse_interval(tmp_path: Path) -> None:
-    """11.5 m past a wall an obstacle stood 1.58 m behind: the wall, folded by the pulse interval."""
-    wall = world(tmp_path, box("-11.6 0 3", "0.2 30 12"))
-    for changes, near in (({}, True), ({"stagger_div": 17}, False)):
-        rig = ul.Rig.preset("thesis-4", **changes)
-        last = flown(wall, (0, 0, 3), (0.5, 0, 0), rig=rig)[-1]
-        assert bool(filled(last)) == near
+@pytest.mark.parametrize(
+    ("rig", "wall_m", "speed_m_s"),
+    [("single", 12, 0), ("single", 10, 0.5), ("thesis-4", 12, 0), ("thesis-4", -11.5, 0.5)],
+)
+def test_a_folded_wall_is_never_near_with_a_staggered_pulse_interval(
+    tmp_path: Path, rig: str, wall_m: float, speed_m_s: float
+) -> None:
+    """A wall 10 m ahead pushed a vehicle back; 11.5 m past another one an obstacle stood 1.58 m behind."""
+    wall = world(tmp_path, box(f"{wall_m + math.copysign(0.1, wall_m)} 0 3", "0.2 30 12"))
+    one, two = (
+        flown(wall, (0, 0, 3), (speed_m_s, 0, 0), rig=ul.Rig.preset(rig, **changes))
+        for changes in ({}, {"stagger_div": 17})
+    )
+    assert not any(filled(found) for found in two)
+    near = [found.tracks.ambiguous[found.tracks.distance_m < 5.0] for found in one]  # type: ignore[index]
+    assert np.concatenate(near).size
+    assert np.concatenate(near).all()
+
+
+def test_the_level_of_a_near_wall_excludes_a_fold_and_that_of_a_wire_does_not(tmp_path: Path) -> None:
+    wire = POLE.replace("<radius>0.05", "<radius>0.0015")
+    for model, ambiguous in ((box("1.6 0 3", "0.2 30 12"), False), (wire, True)):
+        tracks = flown(world(tmp_path, model), (0, 0, 1.5), rig=ul.Rig.preset("single"))[-1].tracks
+        assert tracks.ambiguous[0] == ambiguous
 
 
 @pytest.fixture(scope="module")

@@ -77,13 +77,25 @@ class Guard:
             raise InputError(f"the wanted velocity is {want.tolist()}", where="Guard", allowed="three finite numbers")
         if odometry is None:
             raise InputError("the guard has no odometry", where="Guard", allowed="believed poses with velocities")
-        forward = quat_matrix(odometry.quat_xyzw[-1])[:, 0]
-        world_from_level = transform(rpy_rad=(0.0, 0.0, math.atan2(forward[1], forward[0])))[:3, :3]
-        own = world_from_level.T @ odometry.rates[0][-1]
+        world_from_level, own = _level(odometry)
         table = self._table(own, sectors, world_from_level)
         limit = self._limit(want, own, sectors, table, world_from_level)
         self._commands.append((sectors.t_ns, limit.velocity))
         return limit
+
+    def judge(self, sectors: ObstacleSectors, odometry: Trajectory) -> Limit:
+        """Judge the present velocity of a vehicle that another commands: free, or stop where it must brake now.
+
+        Its velocity counts as the command that acts until the stop. Commands of `limit` do not count.
+
+        Args:
+            sectors: obstacles, at this time.
+            odometry: pose and velocity of the body; the last one counts.
+        """
+        world_from_level, own = _level(odometry)
+        share, k, free_m = self._share(own, own, sectors, self._table(own, sectors, world_from_level))
+        sensor = sectors.sensors[k] if k >= 0 else ""
+        return Limit(world_from_level @ own * share, "free" if share >= 1 else "stop", sensor, free_m)
 
     def _limit(
         self, want: Floats, own: Floats, sectors: ObstacleSectors, table: _Table, world_from_level: Floats
@@ -180,6 +192,13 @@ class _Table:
     def nearer_by(self, length_m: float) -> _Table:
         """Return the state with less space."""
         return replace(self, approach=replace(self.approach, free_m=self.approach.free_m - length_m))
+
+
+def _level(odometry: Trajectory) -> tuple[Floats, Floats]:
+    """Return the rotation (3, 3) from a level frame turned with the body, and the body's velocity (3) in it."""
+    forward = quat_matrix(odometry.quat_xyzw[-1])[:, 0]
+    world_from_level = transform(rpy_rad=(0.0, 0.0, math.atan2(forward[1], forward[0])))[:3, :3]
+    return world_from_level, world_from_level.T @ odometry.rates[0][-1]
 
 
 def _covered(want: Floats, sectors: ObstacleSectors) -> bool:

@@ -23,7 +23,7 @@ from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix, transform
 from ullage.processing import bearings
 from ullage.processing.baseband import envelope, has_phase, noise_correlation
-from ullage.processing.bearings import CELLS, LEVEL, Echoes, RadarView
+from ullage.processing.bearings import CELLS, LEVEL, LEVEL_DB, Echoes, RadarView
 from ullage.processing.detect import detect
 from ullage.processing.echoes import blind_m, profile_noise
 from ullage.processing.health import HealthMonitor
@@ -52,6 +52,7 @@ class ObstacleTracks:
     cells: Bools | None = None  # (m, n) directions of `bearings.CELLS` in which it may lie; None: all of its lobe
     azimuth_rad: Floats | None = None  # (m) mean, counter-clockwise from forward [rad]
     azimuth_sigma_rad: Floats | None = None  # (m) [rad]
+    ambiguous: Bools | None = None  # (m) by its level it may lie farther by the unambiguous range, and be folded
 
     def __len__(self) -> int:
         return len(self.sensor)
@@ -266,6 +267,7 @@ class ObstacleStage:
             column(lambda track: math.sqrt(track.var_v)),
             column(lambda track: track.snr_db),
             np.asarray(~(cells & lobes[radar]).any(1)), cells, mean, spread,
+            np.array([_may_be_folded(parts[k], views[k], track) for k, track in rows], bool),
         )  # fmt: skip
 
     def _view(self, sensor: _Sensor, turn: Floats) -> RadarView | None:
@@ -356,6 +358,15 @@ def _sensor(spec: RadarSpec, tracker: TrackerSpec) -> _Sensor:
     least_m = float(np.linalg.norm(arm)) * math.cos(min(away + half, math.pi))
     follow = RangeTracker(tracker, staggered=spec.stagger_div is not None)
     return _Sensor(spec, follow, bore.copy(), half, least_m, (0.0, math.inf), noise_correlation(spec), body_from_sensor)
+
+
+def _may_be_folded(sensor: _Sensor, view: RadarView | None, track: Track) -> bool:
+    """Whether a track of one pulse interval is no louder than a mirror farther by the unambiguous range would be."""
+    if sensor.tracker.staggered or view is None:
+        return False
+    far_m = track.range_m + sensor.spec.unambiguous_range_m
+    mirror_db = view.mirror_db + view.gain_db.max() - 20 * math.log10(far_m)
+    return bool(track.sums.level_db <= mirror_db + 2 * LEVEL_DB)
 
 
 def _lobes(boresight: Floats, width_rad: Floats) -> Bools:

@@ -30,13 +30,14 @@ class Autopilot:
         poses: gives messages for a time of its clock [s]; called 50 times a second.
         to: a port that it sends to before anybody spoke to it.
         timesync: whether it answers TIMESYNC.
-        denies: ids of messages whose rate it does not set; None: it answers no command.
+        denies: ids of messages whose rate it does not set; None: it answers no such command.
+        mode: it is an ArduCopter that flies in this mode, and takes another by DO_SET_MODE; None: a PX4 on the ground.
     """
 
     def __init__(
         self, *, system: int = 1, component: int = 1, boot_ns: int = 0, drift: float = 0.0,
         poses: Callable[[float], list[Any]] | None = None, to: int | None = None, timesync: bool = True,
-        denies: set[int] | None = None,
+        denies: set[int] | None = None, mode: int | None = None,
     ) -> None:  # fmt: skip
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
@@ -44,7 +45,7 @@ class Autopilot:
         self.port = int(self.socket.getsockname()[1])
         self.got: list[tuple[float, Any]] = []  # when [s, monotonic], and what
         self.offsets: list[int] = []  # what its own TIMESYNC questions gave [ns]
-        self.silent = False
+        self.silent, self.mode = False, mode
         self._boot_ns, self._drift, self._poses, self._timesync = boot_ns, drift, poses, timesync
         self._denies = denies
         self._begun_ns = time.monotonic_ns()
@@ -102,7 +103,10 @@ class Autopilot:
                 continue
             if now - heartbeat >= 0.5:
                 heartbeat = now
-                self.send(mav.MAVLink_heartbeat_message(mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_PX4, 0, 0, 4, 3))
+                kind, flags = (
+                    (mav.MAV_AUTOPILOT_PX4, 0) if self.mode is None else (mav.MAV_AUTOPILOT_ARDUPILOTMEGA, 209)
+                )
+                self.send(mav.MAVLink_heartbeat_message(mav.MAV_TYPE_QUADROTOR, kind, flags, self.mode or 0, 4, 3))
             if now - question >= 0.5:
                 question = now
                 self.send(mav.MAVLink_timesync_message(0, self.clock_ns()))
@@ -119,7 +123,10 @@ class Autopilot:
         now = time.monotonic_ns()
         for message in self._mav.parse_buffer(data) or []:
             self.got.append((now * 1e-9, message))
-            if message.get_type() == "COMMAND_LONG" and self._denies is not None:
+            if message.get_type() == "COMMAND_LONG" and message.command == mav.MAV_CMD_DO_SET_MODE:
+                self.mode = int(message.param2)
+                self.send(mav.MAVLink_command_ack_message(message.command, mav.MAV_RESULT_ACCEPTED))
+            elif message.get_type() == "COMMAND_LONG" and self._denies is not None:
                 result = mav.MAV_RESULT_DENIED if message.param1 in self._denies else mav.MAV_RESULT_ACCEPTED
                 self.send(mav.MAVLink_command_ack_message(message.command, result))
             if message.get_type() != "TIMESYNC" or self.silent:

@@ -33,7 +33,7 @@ def test_without_a_binary_it_flies_nothing_and_says_so(
 
 @pytest.mark.parametrize("name", list(CASES))
 def test_a_flight_through_the_obstacle_is_a_hit_and_one_that_stops_is_none(name: str) -> None:
-    if CASES[name].passes or name == "hover in a hall":
+    if CASES[name].passes or CASES[name].speeds_m_s == (0.0,):
         return
     through, before = Flight(name, "guided", 1.0), Flight(name, "guided", 1.0)
     measure(through, CASES[name], straight(AHEAD_M + 3), START)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -139,6 +140,14 @@ def test_too_few_distances_are_reported(autopilot: Autopilot, said: list[str]) -
         for k in range(10):
             out.write(around(k / 4))
     assert any(line.endswith("distances a second are sent; autopilots expect 10") for line in said)
+
+
+def test_how_late_live_distances_are_is_reported_at_the_end(autopilot: Autopilot, said: list[str]) -> None:
+    with sink(autopilot, said) as out:
+        deliver(out, autopilot)
+    ages = [re.search(r"frame to message (\d+) ms \(median\), (\d+) ms", line) for line in said]
+    (found,) = [one for one in ages if one]
+    assert 0 <= int(found[1]) <= int(found[2]) <= 500
 
 
 def test_frames_of_a_run_become_distances(autopilot: Autopilot, said: list[str]) -> None:

@@ -73,6 +73,15 @@ def test_frames_come_along_the_autopilots_poses(world: str, kind: str, timesync:
     assert echo == pytest.approx(2.95 - x[-1], abs=0.15)
 
 
+@pytest.mark.parametrize("stagger", [True, False])
+def test_the_pulse_interval_alternates_unless_it_must_not(world: str, stagger: bool) -> None:
+    with Autopilot(poses=local_poses(east), timesync=False) as autopilot:
+        place = f"udp://127.0.0.1:{autopilot.port}"
+        with source_of(place, {"world": world, "rig": "thesis-4", "stagger": stagger}, log=lambda _: None) as source:
+            found = {spec.stagger_div for spec in source.rig.sensors.values()}
+    assert found == ({17} if stagger else {None})
+
+
 def test_an_autopilot_that_stops_ends_the_track_and_frames_wait_for_it(world: str) -> None:
     said: list[str] = []
     with Autopilot(poses=local_poses(east)) as autopilot:

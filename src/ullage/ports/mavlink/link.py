@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -167,6 +168,8 @@ class Link:
         """Whether poses came since the autopilot was asked; else it is asked again, save for what it denied."""
         self.listens = False
         """Whether somebody takes the poses."""
+        self.watch: Callable[[Any], None] | None = None
+        """Takes each message of the autopilot, in the link's thread."""
         self._wire, self._log = wire, log
         self._mav = self.dialect.MAVLink(None)
         self.events: Inbox[PoseMessage] = Inbox(self.counters, most=20_000)
@@ -287,6 +290,9 @@ class Link:
             self._acknowledged(message)
         elif self.listens:
             self.events.put(PoseMessage(kind, message))
+        there = self.autopilot
+        if self.watch is not None and there is not None and (system, component) == (there.system, there.component):
+            self.watch(message)
 
     def _heartbeat(self, message: Any, system: int, component: int) -> None:
         d, now = self.dialect, time.monotonic()

@@ -62,6 +62,9 @@ class SourceOptions(RadarOptions, LinkOptions):
         "auto", description="ODOMETRY, or LOCAL_POSITION_NED with ATTITUDE; auto: ODOMETRY where it comes"
     )
     origin: str = Field("", description="the autopilot's local origin in the world: x,y,z [m] and, if given, yaw [deg]")
+    stagger: bool = Field(
+        True, description="another pulse interval in every second frame, so that folded echoes are no obstacles"
+    )
     request_hz: float = Field(50.0, ge=0, le=500, description="poses a second that are asked for; 0: do not ask")
     wait_s: float = Field(30.0, gt=0, le=86400, description="without a first HEARTBEAT for so long the run ends")
 
@@ -72,6 +75,13 @@ class SinkOptions(LinkOptions):
     pace: float = Field(1.0, ge=0, le=1000, description="times real time, for frames that are not of the present")
     obstacle_hz: float = Field(20.0, ge=1, le=200, description="most OBSTACLE_DISTANCE a second; autopilots want 10")
     sensors: bool = Field(True, description="DISTANCE_SENSOR for each radar too")
+    guard: Literal["off", "brake"] = Field(
+        "off", description="brake: switch ArduCopter from Auto, Guided or Loiter to BRAKE before an obstacle"
+    )
+    hull_m: float = Field(0.4, gt=0, le=10, description="of the guard: from the body's centre to its farthest part")
+    stop_s: float = Field(
+        1.5, gt=0, le=5, description="of the guard: time constant of a stop in BRAKE, 7.5 m/s^2 / PSC_JERK_XY"
+    )
     wait_s: float = Field(
         0.0, ge=0, le=86400, description="wait so long for a first HEARTBEAT and end without one; 0: send at once"
     )

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Iterable, Mapping
 from typing import Self
+
+import numpy as np
 
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.ports.intake import Log, warn
+from ullage.ports.mavlink.brake import ModeBrake
 from ullage.ports.mavlink.encode import distance_sensors, obstacle_distance
 from ullage.ports.mavlink.link import leave, open_link
 from ullage.ports.mavlink.options import SinkOptions
@@ -21,6 +26,9 @@ from ullage.processing.obstacles import STALE_S, ObstacleSectors, ObstacleStage
 
 AHEAD_S = 2.0
 """How far the source may run ahead of what was sent [s of stream]."""
+WAIT_S = 0.1
+"""Between two looks at how old the last distances are [s]."""
+MOST_AGES = 100_000
 LEAST_HZ = 10.0
 """Fewer distances a second make an autopilot slow or stop."""
 TELL_S = 10.0
@@ -66,6 +74,9 @@ class MavlinkSink:
         self._rate = _Rate(self._log)
         self._faults: dict[str, str] = {}  # that the autopilot was told of
         self._told_s = 0.0
+        self._ages_s: deque[float] = deque(maxlen=MOST_AGES)  # from frames of the present to their messages
+        self._newest: ObstacleSectors | None = None
+        self._brake = ModeBrake(self.link, options, self._send_text) if options.guard == "brake" else None
         self._queue: queue.Queue[ObstacleSectors | None] = queue.Queue(max(round(AHEAD_S * options.obstacle_hz), 1))
         self._error: BaseException | None = None
         self._thread: threading.Thread | None = threading.Thread(target=self._run, name="ullage mavlink sink")
@@ -133,22 +144,29 @@ class MavlinkSink:
         try:
             while True:
                 try:
-                    sectors = self._queue.get(timeout=STALE_S)
+                    sectors = self._queue.get(timeout=WAIT_S)
                 except queue.Empty:
-                    self._silent()
-                    continue
-                if sectors is None:
-                    return
-                self._send_in_time(sectors)
+                    sectors = self._newest
+                else:
+                    if sectors is None:
+                        return
+                    self._newest = sectors
+                    self._send_in_time(sectors)
+                if self._live and sectors is not None:
+                    self._judge(sectors, time.time() - sectors.t_ns * 1e-9)
         except BaseException as error:  # raised where the next item is written
             self._error = error
 
-    def _silent(self) -> None:
-        """Nothing was made for half a second."""
+    def _judge(self, sectors: ObstacleSectors, age_s: float) -> None:
+        """Brake where it must, and make the state critical where no distances were sent for half a second."""
         d = self.link.dialect
-        if self.link.state == d.MAV_STATE_ACTIVE:
+        if self._brake is not None:
+            self._brake.judge(sectors, age_s)
+        if age_s > STALE_S and self.link.state == d.MAV_STATE_ACTIVE:
             self.link.state = int(d.MAV_STATE_CRITICAL)
-            self._log(f"{self.link.name}: no distances for {STALE_S:g} s, so none are sent; the autopilot must stop")
+            text = f"no distances for {STALE_S:g} s"
+            self._log(f"{self.link.name}: {text}, so none are sent; the autopilot must stop")
+            self._send_text(d.MAV_SEVERITY_CRITICAL, text)
 
     def _send_in_time(self, sectors: ObstacleSectors) -> None:
         boot_ns: int | None = None
@@ -165,6 +183,8 @@ class MavlinkSink:
             for message in distance_sensors(sectors, t_ns // 1_000_000):
                 self.link.send(message)
         self.link.send(obstacle_distance(sectors, t_ns // 1000))
+        if self._live:
+            self._ages_s.append(time.time() - sectors.t_ns * 1e-9)
         self._tell_faults(sectors)
         self._rate.count(time.monotonic())
 
@@ -201,8 +221,13 @@ class MavlinkSink:
                 except queue.Full:
                     continue
             thread.join()
+            if self._brake is not None and self._live and self._newest is not None:
+                self._brake.judge(self._newest, math.inf)  # no more distances come
             if self.link.autopilot is None:
                 self._log(f"{self.link.name}: no HEARTBEAT of an autopilot came; the distances may have reached nobody")
+            if self._ages_s:
+                middle, most = np.percentile(self._ages_s, [50, 99]) * 1e3
+                self._log(f"{self.link.name}: from frame to message {middle:.0f} ms (median), {most:.0f} ms (99 %)")
             for line in self.link.counters.lines():
                 self._log(line)
         finally:

@@ -18,6 +18,7 @@ from ullage.ports.mavlink.link import POSES, Link, PoseMessage, leave, open_link
 from ullage.ports.mavlink.options import SourceOptions
 from ullage.ports.ned import enu_position, enu_quat
 from ullage.ports.pose_events import EventFeed, ModelPose, Notice
+from ullage.specs import RadarSpec
 from ullage.world.moving import between
 
 SYNC_S = 3.0
@@ -31,6 +32,8 @@ ODOMETRY_S = 1.0
 APART_NS = 500_000_000
 """Attitudes farther apart are not interpolated [ns]."""
 MOST_WAITING = 256
+MOST_DIV = 255
+"""Greatest divider of a radar's clock."""
 
 
 class PoseBuilder:
@@ -163,6 +166,14 @@ def origin_of(text: str) -> Floats:
     return transform(numbers[:3], (0.0, 0.0, np.radians(yaw_deg)))
 
 
+def staggered(radar: RadarSpec) -> RadarSpec:
+    """The radar with two pulse intervals in turn, the second about a sixteenth longer."""
+    if radar.stagger_div is not None:
+        return radar
+    longer = radar.prf_div + max(radar.prf_div // 16, 1)
+    return radar.but(stagger_div=longer if longer <= MOST_DIV else radar.prf_div - radar.prf_div // 16)
+
+
 class PoseFeed(EventFeed[PoseMessage]):
     """Poses of the autopilot's vehicle, at times of this machine's clock where TIMESYNC is answered.
 
@@ -271,6 +282,8 @@ def source_of(address: str, options: dict[str, Any], *, log: Log | None = None) 
         raise InputError("no world", where=where, allowed="world=NAME or world=FILE")
     scene = world_of(chosen.world, where=where)
     rig = rig_of(chosen.rig, scene, chosen.model, where=where)
+    if chosen.stagger:
+        rig = rig.but(sensors={name: staggered(spec) for name, spec in rig.sensors.items()})
     link = open_link(address, chosen, role="source", log=log or warn)
     try:
         return CosimulationSource(lambda: PoseFeed(link, chosen), scene.without(chosen.model), rig, chosen, log=log)
