@@ -48,12 +48,12 @@ def test_a_recording_alone_gives_its_table(folder: Path) -> None:
     assert float(front[-1]["closing_speed_m_s"]) == pytest.approx(0.6, abs=0.1)
     assert float(front[-1]["time_to_collision_s"]) == pytest.approx(1.6 / 0.6, rel=0.2)
     assert back[-1]["distance_m"] == "nan"
-    assert back[-1]["fault"] == "gives no frames"
+    assert back[-1]["fault"] == "no frames came"
 
 
 def test_the_run_says_it_in_words_and_as_metrics(folder: Path) -> None:
     words = (folder / "verdict.txt").read_text().splitlines()
-    assert words[0].startswith("back: gives no frames from ")
+    assert words[0].startswith("back: no frames came from ")
     front = next(line for line in words if line.startswith("obstacles of 'front': "))
     assert "nearest 1." in front
     assert "time to collision" in front

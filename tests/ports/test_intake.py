@@ -80,6 +80,18 @@ def test_one_stamp_far_off_is_bad_and_changes_nothing(at, away, back):
     assert {one.track for one in out} == {0}
 
 
+def test_a_step_over_what_was_left_out_says_so():
+    said = []
+    counters = Counters(said.append)
+    stream = Clock(counters).stream("radar")
+    for t_ns in steady():
+        stream.take(t_ns, t_ns)
+    counters.drop("radar", "lost", "waited longer than 2 s", count=1234)
+    for t_ns in steady(100 * S):
+        stream.take(t_ns, t_ns)
+    assert any("(radar), 1,234 messages were left out before: a new track" in line for line in said)
+
+
 @given(st.integers(GAP_NS + S, 10**15))
 def test_a_step_ahead_begins_a_track_and_keeps_the_sources_own_times(step):
     said = []

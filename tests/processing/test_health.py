@@ -77,14 +77,14 @@ def test_the_pieces_do_not_matter(frames: dict[str, Frames], cause: str) -> None
 
 def test_frames_that_end_or_pause_are_missing(frames: dict[str, Frames]) -> None:
     pause = np.r_[:30, 60 : len(PATH)]
-    assert lines(frames | {"left": frames["left"][:30]}, 1000) == ["left: gives no frames from 1.7 s"]
-    assert lines(frames | {"left": frames["left"][pause]}, 1000) == ["left: gives no frames from 1.7 s to 3.5 s"]
+    assert lines(frames | {"left": frames["left"][:30]}, 1000) == ["left: no frames came from 1.7 s"]
+    assert lines(frames | {"left": frames["left"][pause]}, 1000) == ["left: no frames came from 1.7 s to 3.5 s"]
 
 
 def test_a_fault_that_comes_again_is_one_line_however_often(frames: dict[str, Frames]) -> None:
     paused = np.flatnonzero(np.arange(len(PATH)) % 30 < 10)
     assert lines(frames | {"left": frames["left"][paused]}, 7) == [
-        "left: gives no frames 3 times from 0.5 s to 5.3 s, 3.7 s in all"
+        "left: no frames came 3 times from 0.5 s to 5.3 s, 3.7 s in all"
     ]
 
 

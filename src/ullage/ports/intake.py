@@ -306,6 +306,7 @@ class Clock:
         self.gap_ns, self.late_ns, self._pause_ns = gap_ns, late_ns, pause_ns
         self._epoch: _Epoch | None = None
         self._last_given_ns: int | None = None  # newest time given on, of all streams
+        self._left_out = 0  # messages that found no room or waited too long, up to the last step
 
     def stream(self, topic: str) -> Stream[Any]:
         """A stream of messages with stamps of this clock."""
@@ -337,7 +338,10 @@ class Clock:
         if epoch is not None:
             step_s = (stamp_ns - (epoch.newest_ns if before_ns is None else before_ns)) * 1e-9
             step = f"back {-step_s:.3g} s" if step_s < 0 else f"ahead {step_s:.3g} s"
-            self.counters.step(f"time jumped {step} ({stream.topic}): a new track begins, the map goes on")
+            lost, before = self.counters.dropped("lost"), self._left_out
+            why = f", {lost - before:,} messages were left out before" if lost > before else ""
+            self._left_out = lost
+            self.counters.step(f"time jumped {step} ({stream.topic}){why}: a new track begins, the map goes on")
         self._epoch = _Epoch(offset_ns, stamp_ns)
         return self._epoch
 

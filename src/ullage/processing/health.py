@@ -30,7 +30,7 @@ FULL_SCALE, CLIPPED = 0.995, 0.05
 LEAST_NOISE = 1e-6
 """Share of the greatest value below which a quarter of the samples holds no noise: receivers have 120 dB at most."""
 STUCK, SILENT, DEAF, LEVEL = "stuck", "without a signal", "deaf", "its direct path is gone"
-CLIPS, MISSING = "saturated", "gives no frames"
+CLIPS, MISSING = "saturated", "no frames came"
 _QUARTER = {True: 0.7585, False: 0.3186}  # lower quartile of the size of complex and of real noise, in sigmas
 
 
