@@ -33,6 +33,8 @@ SECTIONS = {  # lines [m], pipes with radius [m], place of the radar [m]
     "corner with a pipe in it": ([((2, -1.2), (2, 0.8)), ((0.2, 0.8), (2, 0.8))], [((1.5, -0.5), 0.06)], (0.6, 0.1)),
     "flanged webs": (flanged(-0.6, 0.0, 0.6), [], (0.5, 0.17)),
     "flanged webs, slanted": (flanged(-0.6, 0.0, 0.6), [], (0.8, -1.0)),
+    "pipe before a wall": ([((2, -1.2), (2, 1.2))], [((1.5, 0.0), 0.03)], (0.5, 0.0)),
+    "pipe before a wall, aside": ([((2, -1.2), (2, 1.2))], [((1.5, 0.3), 0.03)], (0.5, 0.0)),
 }
 
 

@@ -48,10 +48,12 @@ def error_db(name, bounces):
         ("corner with a pipe in it", 5, -21),
         ("flanged webs", 6, -15.5),
         ("flanged webs, slanted", 6, -14.5),
+        ("pipe before a wall", 3, -7.5),  # its shadow and its echo merge: creeping waves are not modelled
+        ("pipe before a wall, aside", 3, -9.8),
     ],
 )
 def test_the_envelope_is_that_of_the_method_of_moments(name, bounces, bound_db):
-    """The third order alone would miss by 19, 8 and 7 dB."""
+    """In the middle ones the third order alone errs by -19, -8 and -7 dB."""
     assert error_db(name, bounces) < bound_db
 
 
