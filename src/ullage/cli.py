@@ -615,7 +615,7 @@ def validate(
 
 @app.command()
 def reproduce(
-    quick: Annotated[bool, typer.Option("--quick", help="Small, in two minutes.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Small: five to eight CPU-minutes.")] = False,
     only: Annotated[list[str] | None, typer.Option("--only", help="Just this experiment", metavar="NAME")] = None,
     force: Annotated[bool, typer.Option("--force", help="Do again what is done.")] = False,
     out: Annotated[Path, typer.Option("--out", help="Folder of the results.", metavar="DIR")] = Path("reproduction"),
