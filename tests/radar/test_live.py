@@ -67,7 +67,7 @@ def test_a_clock_that_jumps_back_is_refused_until_reset() -> None:
     assert len(live.advance(5, (0, 0, 0), (0, 0, 0, 1))["front"]) == 1
 
 
-@pytest.mark.parametrize(("options", "words"), [({"rate_hz": 0}, "rate_hz is 0"), ({"max_bounces": 4}, "max_bounces")])
+@pytest.mark.parametrize(("options", "words"), [({"rate_hz": 0}, "rate_hz is 0"), ({"max_bounces": 7}, "max_bounces")])
 def test_settings_out_of_bounds_are_refused(options: dict[str, float], words: str) -> None:
     with pytest.raises(ul.InputError, match=words):
         ul.LiveRadars(ROOM, RIG, **options)  # type: ignore[arg-type]

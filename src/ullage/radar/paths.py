@@ -44,7 +44,7 @@ class PathSet:
     """Paths there and back, over none, one or two faces on each leg."""
 
     faces: Longs  # (n, 2, 2) of each leg from its antenna on, -1 for none
-    via: Longs  # (n, 4) objects that mirror along it, as the wave meets them, -1 for none
+    via: Longs  # (n, d) objects that mirror along it, as the wave meets them, -1 for none
     legs: Longs  # (n, 2) equal legs have one number
     weights: Floats  # (n)
     images: Floats  # (n, 2, 3, 3) each antenna, then its images, the last one again where there are fewer [m]
@@ -124,7 +124,7 @@ def _rows(counts: tuple[int, ...], one: bool) -> tuple[Longs, Longs, Floats, Lon
     Faces are places in one list of all these faces, followed by -1 for none.
 
     Returns:
-        The faces (n, 2, 2) of both legs; the faces (n, 4) as the wave meets them; how often each path counts (n); a
+        The faces (n, 2, 2) of both legs; the faces (n, d) as the wave meets them; how often each path counts (n); a
         number (n, 2) for each leg that differs.
     """
     paths: list[Legs] = []
@@ -134,13 +134,14 @@ def _rows(counts: tuple[int, ...], one: bool) -> tuple[Longs, Longs, Floats, Lon
             if not (one and chains[0] < chains[1]):
                 paths += _picks(range(start, start + count), chains, one)
     rows = [[(*leg, -1, -1)[:2] for leg in legs] for legs in paths]
-    over = [(*there, *back[::-1], -1, -1, -1)[:4] for there, back in paths]
+    most = max(len(counts), 2)
+    over = [(*there, *back[::-1], -1, -1, -1)[:most] for there, back in paths]
     twice = np.array([2.0 if one and there != back else 1.0 for there, back in paths])
     known: dict[tuple[int, tuple[int, ...]], int] = {}
     legs = [
         [known.setdefault((0 if one else side, leg), len(known)) for side, leg in enumerate(path)] for path in paths
     ]
-    return (np.array(rows, np.int64).reshape(-1, 2, 2), np.array(over, np.int64).reshape(-1, 4), twice,
+    return (np.array(rows, np.int64).reshape(-1, 2, 2), np.array(over, np.int64).reshape(-1, most), twice,
             np.array(legs, np.int64).reshape(-1, 2))  # fmt: skip
 
 

@@ -166,7 +166,7 @@ def accumulate_paths(context: RadarContext, paths: ReflectedPaths, parts: PathSu
     total = np.bincount(parts.led, echo.real, count) + 1j * np.bincount(parts.led, echo.imag, count)
     at = many - 1 - (~paths.reflectors.flat[paths.on[::-1]]).argmax(0)
     object_ids = paths.reflectors.object_ids[paths.on]
-    via = np.full((count, many - 1), -1, np.int64)
+    via = np.full((count, max(many - 1, 2)), -1, np.int64)
     for s in range(many - 1):
         via[:, s] = object_ids[np.where(at <= s, s + 1, s), each]
 
