@@ -732,10 +732,12 @@ def dataset(
     from ullage.errors import InputError
     from ullage.experiments import dataset as sets
     from ullage.radar.warmup import radar_parts
+    from ullage.specs import MOST_BOUNCES
     from ullage.view.progress import answer, log, progress_bar
 
-    if not all(word.isdecimal() for word in bounces.split(",")):
-        raise InputError(f"cannot read {bounces!r}", where="--bounces", allowed="whole numbers, with commas between")
+    if not all(word in map(str, range(1, MOST_BOUNCES + 1)) for word in bounces.split(",")):
+        allowed = f"1 to {MOST_BOUNCES}, with commas between"
+        raise InputError(f"cannot read {bounces!r}", where="--bounces", allowed=allowed)
     drawn, where = [int(word) for word in bounces.split(",")], where_to_run(jobs, scheduler)
     parts = radar_parts("physical", max(drawn))
     compile_parts(parts)

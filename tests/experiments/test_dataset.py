@@ -183,7 +183,14 @@ def test_what_cannot_be_made_is_one_line_and_leaves_nothing(kinds, changes, word
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("words", [["room", "--n", "0"], ["rom", "--n", "1"], ["room", "--n", "1", "--bounces", "x"]])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["room", "--n", "0"],
+        ["rom", "--n", "1"],
+        *(["room", "--n", "1", "--bounces", text] for text in ("x", "0", "1,7")),
+    ],
+)
 def test_the_command_refuses_as_the_function_does(words: list[str], tmp_path: Path) -> None:
     told = CliRunner().invoke(app, ["dataset", *words, "--to", str(tmp_path / "set.zarr"), "--jobs", "1"])
     assert isinstance(told.exception, ul.InputError)

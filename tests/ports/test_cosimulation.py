@@ -307,3 +307,9 @@ def test_the_status_comes_once_a_second():
     wall_s = iter([0.0, 0.0, 0.5, 1.1, 1.1])
     status = RadarStatus("radars", late_s=1.0, now=lambda: next(wall_s))
     assert [status.message(k, Counters()) is not None for k in range(3)] == [True, False, True]
+
+
+def test_live_radars_take_as_many_bounces_as_a_scenario():
+    assert CosimulationOptions(max_bounces=6, model="x").max_bounces == 6
+    with pytest.raises(ul.InputError, match=r"max_bounces.*7"):
+        options_of(CosimulationOptions, {"max_bounces": "7", "model": "x"}, where="gazebo")

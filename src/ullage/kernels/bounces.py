@@ -44,7 +44,7 @@ class ReflectScratch(NamedTuple):
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
-def many(chain: Longs) -> int:
+def count_mirrors(chain: Longs) -> int:
     """Count the mirrors of a chain, which ends at its first -1."""
     count = 0
     while count < len(chain) and chain[count] >= 0:
@@ -54,7 +54,7 @@ def many(chain: Longs) -> int:
 
 @core(nogil=True, error_model="numpy", forceinline=True)
 def first_leg(path: Floats) -> int:
-    """Find the corner (of d) from which a path leaves the transmitter, which fills the places of absent mirrors."""
+    """Return the last corner of a path (d, 3) at the transmitter, which stands in for absent mirrors too."""
     first = 0
     while first + 4 < len(path):
         for k in range(3):
@@ -143,7 +143,7 @@ def legs(
     images, chains = beams
     most = chains.shape[1]
     for i in range(len(lit)):
-        beam, count = rows[i], many(chains[rows[i]])
+        beam, count = rows[i], count_mirrors(chains[rows[i]])
         for k in range(3):
             for step in range(most - count + 1):
                 out[i, step, k] = origins[0, k]
@@ -213,7 +213,7 @@ def cover(
                 square += (paths[i, j + 1, k] - paths[i, j, k]) ** 2
             size[j] = math.sqrt(square)
             total += size[j]
-        before, count = 0.0, many(chains[i])
+        before, count = 0.0, count_mirrors(chains[i])
         for step in range(count):
             face, corner = chains[i, step], most - count + 1 + step
             before += size[corner - 1]
@@ -279,7 +279,7 @@ def reflect(
                 imaged.fields[i, side, k] = fields[side, k]
                 for row in range(3):
                     imaged.frames[i, side, row, k] = antennas.frames[side, row, k]
-        count = many(chains[i])
+        count = count_mirrors(chains[i])
         first = chains.shape[1] - count
         for step in range(count):
             n = normals[chains[i, step]]

@@ -37,7 +37,7 @@ from ullage.ports.protocol import Item, Sink
 from ullage.ports.radar_status import RadarStatus
 from ullage.ports.rate_limiter import RateLimiter
 from ullage.radar.live import LiveRadars
-from ullage.specs import RadarSpec, Rig, Spec
+from ullage.specs import MOST_BOUNCES, RadarSpec, Rig, Spec
 from ullage.world.scene import Scene
 
 BEHIND_S = 1.0
@@ -49,7 +49,7 @@ class SensingOptions(LiveOptions):
 
     rig: str = Field("", description="rig preset, or SDF/URDF file of the model; none: as declared, or thesis-4")
     fidelity: Fidelity = "physical"
-    max_bounces: int = Field(1, ge=1, le=3)
+    max_bounces: int = Field(1, ge=1, le=MOST_BOUNCES)
     seed: int = Field(0, ge=0)
     rate_hz: float | None = Field(None, gt=0, le=10_000, description="frames a second; none: each radar's own")
     duration_s: float | None = Field(None, gt=0, description="ends after this much of the poses' time")
