@@ -373,7 +373,9 @@ READING_COSTS = {"compiled": {"NTNU room": (17e-6, 834.0), "cargo hold": (40e-6,
 """CPU of a reading [s] and its cells, as on the page."""
 
 CPU = Section("CPU of a reading", "causes", lambda work, costs: cpu_causes.state(work, **costs), (
-    Mutant("both compiled", ("Elfes in plain Python",), change=lambda costs: costs | {"plain": costs["compiled"]}),
+    Mutant("readings without echoes end where walls are", ("without echoes passes",),
+           change=lambda costs: costs | {"compiled": costs["compiled"] | {
+               "cargo hold, no echoes": costs["compiled"]["cargo hold"]}}),
 ), lambda _: READING_COSTS)  # fmt: skip
 
 
