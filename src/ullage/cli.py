@@ -489,7 +489,10 @@ def _list_runs(root: Path, *, most: int | None = None) -> None:
 
 
 @app.command()
-def show(run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest") -> None:
+def show(
+    run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest",
+    png: Annotated[bool, typer.Option("--png", help="Print only the path of its main picture.")] = False,
+) -> None:
     """Show what a run gave."""
     from rich.markup import escape
     from rich.table import Table
@@ -499,6 +502,11 @@ def show(run: Annotated[str, typer.Argument(help="Run folder, its name, or lates
 
     found = RunFolder.find(run)
     folder = found.path
+    if png:
+        from ullage.view.report import main_picture
+
+        typer.echo(main_picture(folder))
+        return
     if (state := found.state) != "complete":
         answer(f": {folder}", mark=found.describe(), style="yellow")
     table = Table("metric", "value", "unit", box=None, title=escape(str(folder)), title_justify="left")
@@ -538,20 +546,24 @@ def measure(run: Annotated[str, typer.Argument(help="Run folder, its name, or la
 def report(
     run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest",
     open_report: Annotated[bool, typer.Option("--open", help="Open it in a browser.")] = False,
+    html: Annotated[
+        bool, typer.Option("--html/--no-html", help="Write report.html: one file that needs no other, to send.")
+    ] = True,
     rrd: Annotated[bool, typer.Option("--rrd", help="Also write report.rrd, for the rerun viewer.")] = False,
     foxglove: Annotated[
         bool, typer.Option("--foxglove", help="Also write foxglove.json, a layout for the recording.")
     ] = False,
 ) -> None:
-    """Write a run's report.html anew."""
+    """Write a run's report anew."""
     from ullage.experiments.exports import write_foxglove, write_rrd
     from ullage.experiments.folder import RunFolder
     from ullage.view.progress import open_page
     from ullage.view.report import write_report
 
     folder = RunFolder.find(run).path
-    page = write_report(folder)
-    typer.echo(page)
+    page = write_report(folder) if html else folder / "report.html"
+    if html:
+        typer.echo(page)
     if rrd:
         typer.echo(write_rrd(folder))
     if foxglove:

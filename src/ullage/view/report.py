@@ -162,6 +162,18 @@ def _text(path: Path) -> str:
         raise InputError(f"cannot read: {error.strerror}", where=path, allowed="a run folder") from None
 
 
+def main_picture(folder: Path) -> Path:
+    """Return the figure of a run that says most: its map, else its image, else the first there is.
+
+    Raises:
+        InputError: it has no figure.
+    """
+    found = _pictures(folder)
+    if not found:
+        raise InputError("has no figure", where=folder, allowed="a run that made a map, an image or echoes")
+    return found[0]
+
+
 def _pictures(folder: Path) -> list[Path]:
     order = list(CAPTIONS)
     found = (folder / "figures").glob("*.png")
