@@ -115,3 +115,16 @@ def test_editors_see_every_public_name() -> None:
         inner = getattr(importlib.import_module(str(module)), alias.name, None)
         seen[alias.asname] = inner or importlib.import_module(f"{module}.{alias.name}")
     assert seen == {name: getattr(ul, name) for name in ul.__all__}
+
+
+def test_no_function_takes_more_than_eight_parameters() -> None:
+    """Options that are given to a public function by name are not counted, nor those of commands."""
+    many = {}
+    for path in SOURCES:
+        for node in ast.walk(parsed(path)):
+            if isinstance(node, ast.FunctionDef) and path.name != "cli.py":
+                by_name = node.args.kwonlyargs if node.name.startswith("_") else []
+                given = [*node.args.posonlyargs, *node.args.args, *by_name]
+                if sum(one.arg not in {"self", "cls"} for one in given) > 8:
+                    many[f"{path.name}: {node.name}"] = len(given)
+    assert not many

@@ -35,6 +35,18 @@ class Corners(NamedTuple):
     bare: Bools  # (c) whether a wave from behind meets it too
 
 
+class Order(NamedTuple):
+    """Wave from one edge of a corner across the sheet to the other, and what it makes there."""
+
+    corner: int
+    first: int  # edge that sends it
+    strength: complex
+    bend: float  # phase of the way across the sheet per length of the second edge [rad/m]
+    before: float  # distance of the crossing's start before the corner, over that of its end behind it
+    across: float  # its length over that distance
+    sine2: float  # square of the sine of the first edge's cone
+
+
 @lean(fastmath=True, nogil=True, error_model="numpy")
 def audible(corners: Corners, antennas: Antennas, wave: float, gate: Floats, least: float, out: Longs) -> int:
     """Find the corners that face the radar and can return more than `least`.
@@ -190,30 +202,20 @@ def _lit_share(before: float, x: float) -> complex:
 
 @core(fastmath=True, nogil=True, error_model="numpy")
 def _accumulate(
-    corners: Corners,
-    c: int,
-    one: int,
-    strength: complex,
-    bend: float,
-    ratios: Floats,
-    late: float,
-    antennas: Antennas,
-    pulse: PulseGrid,
-    sums: EchoSums,
-    k: int,
+    corners: Corners, order: Order, late: float, antennas: Antennas, pulse: PulseGrid, sums: EchoSums, k: int
 ) -> None:
     """Add the echo of one order of both edges, in parts of the second that are finer towards the corner."""
-    before, across = ratios[0], ratios[1]
+    c, one, before, across = order.corner, order.first, order.before, order.across
     wave, size = pulse.omega / C0, corners.lengths[c, 1 - one]
     if before > 0:
         size = min(size, corners.lengths[c, one] / before)
-    x0, path0, w0 = 0.0, _path(corners, c, one, 0.0, 0.0, antennas.origins), 0.5 * strength
+    x0, path0, w0 = 0.0, _path(corners, c, one, 0.0, 0.0, antennas.origins), 0.5 * order.strength
     sums.delay_s[k] = path0 / C0 + late
-    quadratic = 0.5 * wave * before * before * ratios[2] / across  # of the phase about the stationary point
+    quadratic = 0.5 * wave * before * before * order.sine2 / across  # of the phase about the stationary point
     for i in range(_PARTS):
         x1 = size * ((i + 1) / _PARTS) ** 2
         path1 = _path(corners, c, one, before * x1, x1, antennas.origins) + across * x1
-        w1 = strength * along_sheet(bend * x1) * _lit_share(before, quadratic * x1)
+        w1 = order.strength * along_sheet(order.bend * x1) * _lit_share(before, quadratic * x1)
         mean = 0.5 * (path0 + path1) / C0 + late
         line = LineEcho(w0 * (x1 - x0), w1 * (x1 - x0), path0 / C0, path1 / C0, 0.0)
         sums.echo[k] += accumulate_pulses(sums.grids, pulse, True, VERTEX, line, late, mean)
@@ -259,8 +261,7 @@ def accumulate_corners(
                 value += 0.5 * magnetic / sine * _second(corners, c, 1 - one, field, rows)
             if value == 0:
                 continue
-            rows[RATIOS, 2] = sine * sine
-            bend = 2 * wave * (sine * half) ** 2 * rows[RATIOS, 1]
-            _accumulate(
-                corners, c, one, scale * value, bend, rows[RATIOS], between.delay_s[k], antennas, pulse, sums, k
-            )
+            before, across = rows[RATIOS, 0], rows[RATIOS, 1]
+            bend = 2 * wave * (sine * half) ** 2 * across
+            order = Order(c, one, scale * value, bend, before, across, sine * sine)
+            _accumulate(corners, order, between.delay_s[k], antennas, pulse, sums, k)

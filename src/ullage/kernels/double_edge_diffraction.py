@@ -266,19 +266,19 @@ def _accumulate_turned(
     pieces: PairPieces,
     k: int,
     pairs: EdgePairs,
-    width: float,
-    late: float,
+    between: Transmission,
     antennas: Antennas,
     pulse: PulseGrid,
     sums: EchoSums,
-    scale: complex,
     rows: Floats,
 ) -> None:
     """Add the echo of the paths of one pair that turn; they form a family along the first edge."""
-    w, run, wave = pieces.pair[k], 0.0, pulse.omega / C0
+    w, run, width, wave = pieces.pair[k], 0.0, 0.0, pulse.omega / C0
     for j in range(3):
         run += (pieces.ends[k, 1, j] - pieces.ends[k, 0, j]) ** 2
-    run = math.sqrt(run)
+        width += pairs.gaps[w, j] * pairs.gaps[w, j]
+    run, width, late = math.sqrt(run), math.sqrt(width), between.delay_s[k]
+    scale = antennas.factor[0] / (4 * math.pi * wave) * between.factor[k]
     reach = min(0.5 * run, pairs.lengths[w] - 0.5 * run)
     strength = scale * _turned_strength(pieces, k, pairs, width, run, wave, antennas, rows)
     crossing = math.sqrt(width * width + run * run)
@@ -337,8 +337,7 @@ def accumulate_doubles(
             width += pairs.gaps[w, j] * pairs.gaps[w, j]
         size, width = math.sqrt(size), math.sqrt(width)
         if pieces.turns[k]:
-            strong = scale * between.factor[k]
-            _accumulate_turned(pieces, k, pairs, width, between.delay_s[k], antennas, pulse, sums, strong, rows)
+            _accumulate_turned(pieces, k, pairs, between, antennas, pulse, sums, rows)
             continue
         w0, path0 = _twice(pieces, k, FROM, pairs, width, wave, antennas, rows)
         w1, path1 = _twice(pieces, k, TO, pairs, width, wave, antennas, rows)

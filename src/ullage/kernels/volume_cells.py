@@ -141,18 +141,22 @@ def _strand(j: int, half: float) -> tuple[float, float]:
 
 
 @inner()
-def _blocked(
-    box: Box, views: SpatialViews, evidence: Floats, level: Floats, k: int, bound: float, own: int, zone: float, j: int
-) -> bool:
-    """Whether one ray of a path crosses a surface that reflects at least as much."""
-    range_m = views.range_m[k]
-    for i in range(8, int((range_m - BEFORE_M) / (0.25 * box.step))):
-        far = 0.25 * box.step * i
-        a, b = _strand(j, zone * math.sqrt(far * (1 - far / range_m)))
-        cell = _at(box, views, k, far, a, b)
-        if cell >= 0 and cell != own and evidence[cell] > bound and level[cell] > views.level[k]:
-            return True
-    return False
+def _blocked(box: Box, views: SpatialViews, evidence: Floats, level: Floats, k: int, least: float, zone: float) -> bool:
+    """Whether every ray of a path crosses a surface that reflects at least as much."""
+    range_m, own = views.range_m[k], _at(box, views, k, views.range_m[k], 0.0, 0.0)
+    bound = max(least, 0.5 * evidence[own] if own >= 0 else 0.0)
+    for j in range(1 + RINGS * SPOKES):
+        crosses = False
+        for i in range(8, int((range_m - BEFORE_M) / (0.25 * box.step))):
+            far = 0.25 * box.step * i
+            a, b = _strand(j, zone * math.sqrt(far * (1 - far / range_m)))
+            cell = _at(box, views, k, far, a, b)
+            if cell >= 0 and cell != own and evidence[cell] > bound and level[cell] > views.level[k]:
+                crosses = True
+                break
+        if not crosses:
+            return False
+    return True
 
 
 @loop()
@@ -171,14 +175,8 @@ def find_hidden(
         alive: (k) set to False where the path is blocked.
     """
     for k in range(len(alive)):
-        if not alive[k]:
-            continue
-        own = _at(box, views, k, views.range_m[k], 0.0, 0.0)
-        bound = max(least, 0.5 * evidence[own] if own >= 0 else 0.0)
-        j = 0
-        while j < 1 + RINGS * SPOKES and _blocked(box, views, evidence, level, k, bound, own, zone[k], j):
-            j += 1
-        alive[k] = j < 1 + RINGS * SPOKES
+        if alive[k]:
+            alive[k] = not _blocked(box, views, evidence, level, k, least, zone[k])
 
 
 @loop()

@@ -51,6 +51,16 @@ class Strips:
     faces: Outlined  # (m)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """Points that ways lead to, one for each of (m) pairs."""
+
+    of: Longs  # (m) way
+    points: Floats  # (m, 3) [m], or those that `at` names
+    object_ids: NDArray[np.integer]  # (m)
+    at: Longs | None = None  # (m) row of the points
+
+
 def accumulate_curves(
     context: RadarContext,
     parts: list[Surfaces],
@@ -106,7 +116,8 @@ def _accumulate_small(
     of, at = np.empty((2, len(paths) * len(owner)), np.int64)
     count = lit.pair_up(reach, owner, of, at)
     of, at = of[:count], at[:count]
-    factor = heard(context, parts, planar, antennas, paths, of, centroids(leaves), part.object_ids[owner[at]], at)
+    targets = Targets(of, centroids(leaves), part.object_ids[owner[at]], at)
+    factor = heard(context, parts, planar, antennas, paths, targets)
     free = np.flatnonzero(factor)
     if not len(free):
         return []
@@ -173,7 +184,8 @@ def _accumulate_strips(
         inward = faces.spheres[owner, :3] - points  # where walls stand on floors, mirror points lie on their very rims
         points = points + NUDGE_M * unit(inward)
         object_ids = planar.object_ids[strips.on[owner]]
-        out[wanted] = heard(context, parts, planar, antennas, paths, strips.of[owner], points, object_ids)
+        targets = Targets(strips.of[owner], points, object_ids)
+        out[wanted] = heard(context, parts, planar, antennas, paths, targets)
         return out, np.zeros(len(out))
 
     plain = np.full(len(many), len(context.gamma) - 1, np.int32)
@@ -229,19 +241,15 @@ def heard(
     planar: PlanarPatches,
     antennas: AntennaPair,
     paths: PathSet,
-    of: Longs,
-    points: Floats,
-    object_ids: NDArray[np.integer],
-    at: Longs | None = None,
+    targets: Targets,
 ) -> Complexes:
-    """What all reflections of ways (m) over points of objects (m) make of the wave; 0 where it is blocked.
+    """What all reflections of ways over points of objects make of the wave (m); 0 where it is blocked.
 
-    The points (m, 3) [m] are those of each, or those that `at` (m) names.
     The antennas' patterns and the spread of the wave are not in it.
     """
-    known = reached(parts, planar, paths, of, points, at)
-    out = np.zeros(len(of), complex)
-    pairs = kernel.Weighed(known.stops, known.rows, np.flatnonzero(known.free), of, object_ids)
+    known = reached(parts, planar, paths, targets.of, targets.points, targets.at)
+    out = np.zeros(len(targets.of), complex)
+    pairs = kernel.Weighed(known.stops, known.rows, np.flatnonzero(known.free), targets.of, targets.object_ids)
     scratch = kernel.FieldScratch(np.empty((3, 3)), np.empty((2, 3), complex))
     kernel.weigh(pairs, paths.faces, antennas.fields, context.mirrors(planar), scratch, out)
     return out

@@ -43,7 +43,7 @@ from ullage.radar.facets import PlanarPatches, Surfaces, joined
 from ullage.radar.fermat import accumulate_fermat
 from ullage.radar.multipath import accumulate_bounces, apparent_sizes
 from ullage.radar.patch_echoes import accumulate_curved
-from ullage.radar.paths import paths_of
+from ullage.radar.paths import PathSet, paths_of
 from ullage.radar.planar import accumulate_planar
 from ullage.radar.quadrics import Quadric
 from ullage.radar.roughness import accumulate_diffuse_scatterers
@@ -127,9 +127,10 @@ def accumulate(
         sizes = apparent_sizes(context, planar, antennas)
         out += accumulate_bounces(context, parts, planar, antennas, max_bounces, sizes, grids)
         loud = grids.sum(0) if corrections else grids  # corrections rise with f, and only the sum is an echo
-        out += _accumulate_over(
-            context, parts, planar, antennas, poses, max_bounces, sizes, float(abs(loud).max()), grids
-        )
+        if not planar.smooth.all() and (len(context.lines) or _curved(parts, planar)):
+            paths = paths_of(context, planar, antennas, max_bounces, sizes)
+            peak = float(abs(loud).max())
+            out += _accumulate_over(context, parts, planar, antennas, poses, paths, peak, grids)
         if quadrics:
             out += _accumulate_curved_bounces(context, parts, quadrics, planar, antennas, max_bounces, sizes, grids)
     return out
@@ -154,25 +155,26 @@ def _off(parts: list[Surfaces], antennas: AntennaPair) -> AntennaPair:
     return antennas if origins is antennas.origins else replace(antennas, origins=origins)
 
 
+def _curved(parts: list[Surfaces], planar: PlanarPatches) -> bool:
+    """Return whether any surface is curved."""
+    return bool(planar.smooth.any()) or any(len(part.corners) for part in parts)
+
+
 def _accumulate_over(
     context: RadarContext,
     parts: list[Surfaces],
     planar: PlanarPatches,
     antennas: AntennaPair,
     poses: Floats | None,
-    most: int,
-    sizes: Floats,
+    paths: PathSet,
     peak: float,
     grids: Complexes,
 ) -> list[EchoSet]:
-    """Add the echoes of curved surfaces and wires over the flat faces of the largest apparent sizes (p).
+    """Add the echoes of curved surfaces and wires over flat faces.
 
     `peak` is the greatest sum so far: what is far weaker is left out.
     """
-    curved = planar.smooth.any() or any(len(part.corners) for part in parts)
-    if not (curved or len(context.lines)) or planar.smooth.all():
-        return []
-    paths = paths_of(context, planar, antennas, most, sizes)
+    curved = _curved(parts, planar)
     out = accumulate_curves(context, parts, planar, antennas, paths, peak, grids) if curved else []
     return out + (
         accumulate_wire_bounces(context, parts, planar, antennas, poses, paths, grids) if len(context.lines) else []
