@@ -3,9 +3,14 @@
 import tempfile
 from pathlib import Path
 
-import torch
-import zarr
-from torch.utils.data import DataLoader, Dataset
+import matplotlib.pyplot as plt
+
+try:
+    import torch
+    import zarr
+    from torch.utils.data import DataLoader, Dataset
+except ImportError as lacking:
+    raise SystemExit(f"lacks {lacking.name}: pip install torch 'ullage[scale]'") from None
 
 import ullage as ul
 from ullage.experiments.dataset import read_index
@@ -45,8 +50,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = ul.dataset("room", Path(folder) / "set.zarr", n=4, frames=8, where=1)
         batch = next(iter(DataLoader(EchoPatches(path), batch_size=4)))
+    plt.imshow(batch["truth"][0].numpy(), origin="lower")
+    plt.savefig("dataset_torch.png")
     print({name: tuple(values.shape) for name, values in batch.items()})
-    if batch["decibels"].shape[:3] != (4, 4, 8) or not (batch["truth"] == 2).any():
+    if batch["decibels"].shape[:3] != (4, 4, 8) or 2 not in batch["truth"]:
         raise SystemExit("the loader gives no samples")
 
 

@@ -3,8 +3,13 @@
 import tempfile
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
-import xarray
+
+try:
+    import xarray
+except ImportError as lacking:
+    raise SystemExit(f"lacks {lacking.name}: pip install 'ullage[scale]'") from None
 
 import ullage as ul
 
@@ -14,6 +19,8 @@ def main() -> None:
         path = ul.dataset(["room", "polygon"], Path(folder) / "set.zarr", n=6, frames=8, where=1)
         with xarray.open_zarr(path, chunks=None) as found:  # opens in one read; arrays come when they are used
             print(found["samples"])
+            abs(found["samples"]).isel(sample=0, frame=0).plot.line(x="bin", yscale="log")  # a line a sensor
+            plt.savefig("dataset_xarray.png")
             near = [nearest_peak(found.isel(sample=k)) for k in range(found.sizes["sample"])]
     print("distance from the label of the strongest echo to the largest sample near it [m]:", np.round(near, 2))
     if not np.median(near) < 0.15:

@@ -15,6 +15,8 @@ def main() -> None:
     frames = ul.simulate(ul.scenes.sphere(radius_m=0.1, distance_m=4.0), hover, radar, seed=3)
     hits = ul.detect(frames, method="cfar", pfa=PFA)
 
+    hits.plot(frames.plot()).figure.savefig("detect_cfar.png")
+
     near = abs(hits.range_m - 3.9) < 0.15  # the echo comes from the sphere's front
     found = len(np.unique(hits.frame[near])) / len(frames)
     print(f"found in {found:.1%} of frames, at {np.median(hits.range_m[near]):.3f} m")

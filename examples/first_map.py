@@ -16,6 +16,7 @@ def main() -> None:
     score = ul.metrics.map_quality(omap, scene, frames)
     for name in ("precision", "recall", "f1"):
         print(f"{name:10s}{score[name].value:6.3f}")
+    omap.plot(scene=scene, path=flown).figure.savefig("first_map.png")
 
     if not score["f1"].value > 0.5:
         raise SystemExit("the map does not show the walls")

@@ -14,6 +14,7 @@ def main() -> None:
         warnings.simplefilter("always", ul.UllageWarning)
         flown, log = ul.fly_log(through, scene=wall)
     print(told[0].message)
+    wall.plot(path=flown).figure.savefig("fly_and_contact.png")
 
     if not log.contacts:
         raise SystemExit("the wall was not felt")

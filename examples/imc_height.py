@@ -5,6 +5,8 @@ import threading
 import time
 from contextlib import suppress
 
+import matplotlib.pyplot as plt
+
 import ullage as ul
 from ullage.ports.imc.codec import Packet, Parser, encode, make
 
@@ -48,5 +50,10 @@ for law in (height, force):
     z_m, t_s = path.position[:, 2] - FROM_M, (path.t_ns - path.t_ns[0]) * 1e-9 - STEP_S
     rise_s, over_m = t_s[z_m > 0.9][0] - t_s[z_m > 0.1][0], z_m.max() - 1
     print(f"{law.__name__}: rises in {rise_s:.2f} s, overshoots {max(over_m, 0):.3f} m, ends {z_m[-1] - 1:+.3f} m off")
+    plt.plot(t_s, z_m, label=f"DUNE asks for a {law.__name__}")
     if not (rise_s < 3.5 and over_m < 0.15 and abs(z_m[-1] - 1) < 0.05):
         raise SystemExit(f"{law.__name__}: the step is not followed")
+plt.xlabel("time after the step [s]")
+plt.ylabel("height above the start [m]")
+plt.legend()
+plt.savefig("imc_height.png")

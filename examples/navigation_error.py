@@ -1,5 +1,6 @@
 """What navigation costs an image: white position noise smears it, a slow drift moves it."""
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 import ullage as ul
@@ -11,11 +12,15 @@ def main() -> None:
     track = ul.Trajectory.line((0, -0.5, 0), (0, 0.5, 0), speed_m_s=0.3)
     grid = ul.Grid.covering([(1.5, -0.5, 0), (2.5, 0.5, 0)], step_m=0.01)
     peaks = {}
-    for noise_m in (0.0, 0.003, 0.010):
+    figure, panels = plt.subplots(1, 3, figsize=(15, 4.5), layout="constrained")
+    for noise_m, panel in zip((0.0, 0.003, 0.010), panels, strict=True):
         believed = ul.navigate(track, noise_m=noise_m, seed=5)
         image = ul.focus(ul.simulate(scene, track, radar, believed=believed), grid)
         peaks[noise_m] = float(image.amplitude.max())
+        image.plot(panel).set_title(f"{1000 * noise_m:.0f} mm")
         print(f"{1000 * noise_m:4.0f} mm white noise: peak {20 * np.log10(peaks[noise_m] / peaks[0.0]):+.1f} dB")
+
+    figure.savefig("navigation_error.png")
 
     # With white errors along the line of sight the mean echo falls by exp(-(2 k sigma)^2 / 2).
     k = 2 * np.pi / radar.wavelength_m

@@ -37,6 +37,7 @@ def main() -> None:
     )
     outcome = ul.run(frames, stages=[Displacement()])
     moved = outcome.results[0][-1] - outcome.results[0][0]
+    frames.plot().figure.savefig("own_processing.png")
     print(f"range changed by {1000 * moved:.2f} mm over {outcome.frames} frames")
     if not abs(moved + 0.02) < 2e-4:
         raise SystemExit("phase does not tell how far the radar went")

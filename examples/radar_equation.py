@@ -1,5 +1,6 @@
 """A small plate against distance: path gain by physical optics beside the radar equation."""
 
+import matplotlib.pyplot as plt
 import numpy as np
 from scipy.signal import resample
 
@@ -26,6 +27,14 @@ def main() -> None:
         got = path_gain_db(distance, radar)
         far.append((distance, expected, got))
         print(f"{distance:6.1f}{expected:15.2f}{got:18.2f}")
+
+    distances_m, told, found = zip(*far, strict=True)
+    plt.semilogx(distances_m, told, label="radar equation")
+    plt.semilogx(distances_m, found, "o", label="simulated")
+    plt.xlabel("distance [m]")
+    plt.ylabel("path gain [dB]")
+    plt.legend()
+    plt.savefig("radar_equation.png")
 
     # the equation takes the cross section of physical optics; the waves between the plate's edges add 0.4 dB to it, and
     # 0.6 dB by the method of moments (tests/physics/moments.py)

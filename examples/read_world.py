@@ -22,6 +22,7 @@ def main() -> None:
         scene = ul.load_scene(Path(folder) / "yard.sdf", search_path=[folder])
     for thing in scene.objects:
         print(f"{thing.name:24s}{thing.material.name}")
+    scene.plot(height_m=1.0).figure.savefig("read_world.png")
     print("from", scene.bounds[0], "to", scene.bounds[1])
 
     if not abs(scene.bounds[1] - (5.1, 2.0, 3.0)).max() < 1e-6:

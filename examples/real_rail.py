@@ -20,6 +20,7 @@ def main(folder: str) -> None:
     track = frames.poses.position
     box = np.stack([track.min(0), track.max(0)])
     image = ul.focus(frames, ul.Grid.covering(box, step_m=0.03, margin_m=5, z_m=ABOVE_FLOOR_M))
+    image.plot(path=frames.poses).figure.savefig("real_rail.png")
     truth = source.reflectors()[0]  # for judging only; nothing above has seen it
 
     near = np.hypot(image.grid.x_m[None] - truth[0], image.grid.y_m[:, None] - truth[1]) < 0.5

@@ -21,6 +21,7 @@ def main() -> None:
         pieces = [part for chunk in ul.open(place).stream(10) for part in chunk.values()]
         with place.open("rb") as file:
             topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
+    again.plot().figure.savefig("record_and_replay.png")
     print(f"{len(again)} frames in {len(pieces)} pieces; topics {', '.join(sorted(topics))}")
 
     if not np.array_equal(again.samples, frames.samples):

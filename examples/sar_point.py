@@ -18,6 +18,8 @@ def main() -> None:
     image = ul.focus(frames, grid)
     lines = ul.focus(frames, grid, method="summation")
 
+    image.plot(path=track).figure.savefig("sar_point.png")
+
     row, column = np.unravel_index(np.argmax(image.amplitude), grid.shape)
     across = width_m(image.amplitude[:, column], grid.step_m)
     along = width_m(image.amplitude[row], grid.step_m)

@@ -14,6 +14,8 @@ def main() -> None:
     frames = ul.simulate(ball, track, ul.RadarSpec.preset("x4m05", noise=None))
     image = ul.focus(frames, ul.Grid.covering([(1.8, -1.5, 0), (3.2, 1.5, 0)], step_m=0.02), method="summation")
 
+    image.plot(path=track).figure.savefig("thesis_hyperbola.png")
+
     ridge = image.grid.x_m[np.argmax(image.amplitude, axis=1)]
     across = image.grid.y_m
     told = np.hypot(TRUTH[0], across)  # range to the point where the sensor passes, laid straight ahead

@@ -19,6 +19,7 @@ def main() -> None:
     frames = ul.simulate(room, path, ul.Rig.preset("thesis-4"), fidelity="thesis")
     grid = ul.Grid(origin_m=(-25.0, -25.0, 0.0), step_m=0.05, shape=(1000, 1000))
     omap = ul.map_occupancy(frames, grid)
+    omap.plot(scene=room, path=path).figure.savefig("thesis_memory.png")
     size = map_size(omap)
     print(f"ullage, a room mapped on that grid: {size['ram'].value / 1e3:.0f} kB in memory, "
           f"{size['file'].value / 1e3:.1f} kB as a file")  # fmt: skip

@@ -5,6 +5,8 @@ Eq. 4.5 is misprinted: with 0.4 in place of 0.2 and without the + 1 it would giv
 
 import math
 
+import matplotlib.pyplot as plt
+
 from ullage.fan import ray_spacing_m, rays_for
 
 
@@ -15,6 +17,14 @@ def main() -> None:
     print(f"eq. 4.5 as printed: {printed:.1f}")
     for range_m in (5, 10):
         print(f"eq. 4.3: 30 rays stand {ray_spacing_m(65, 30, range_m):.3f} m apart at {range_m} m")
+
+    ranges_m = range(1, 11)
+    for rays in (30, 58):
+        plt.plot(ranges_m, [ray_spacing_m(65, rays, far) for far in ranges_m], label=f"{rays} rays across 65 deg")
+    plt.xlabel("range [m]")
+    plt.ylabel("between rays [m]")
+    plt.legend()
+    plt.savefig("thesis_rays.png")
 
     if not abs(count - 57.73) < 0.02:
         raise SystemExit("the thesis' 57.73 rays are not found")

@@ -24,8 +24,9 @@ def main() -> None:
     for count in (1, 10, 100):
         places = np.linspace(0.4, 3.6, count) if count > 1 else [0.4]
         frames = [reading(float(x)) for x in places]
-        percent = ul.map_occupancy(frames, grid, method="elfes", threshold=0.5).percent
-        chances.append(int(percent.ravel()[cell]))
+        omap = ul.map_occupancy(frames, grid, method="elfes", threshold=0.5)
+        omap.plot().figure.savefig(f"thesis_readings_{count}.png")
+        chances.append(int(omap.percent.ravel()[cell]))
         print(f"{count:3d} readings: the object's cell is held occupied at {chances[-1]} %")
 
     if not chances[0] < chances[1] <= chances[2]:

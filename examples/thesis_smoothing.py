@@ -1,5 +1,6 @@
 """Figure 4.7: the ray model's profile of a room, before and after the moving average."""
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 import ullage as ul
@@ -21,6 +22,11 @@ def main() -> None:
     for width, frames in rows.items():
         row = frames.amplitude[0]
         print(f"average over {width} bins: {tops(row)} maxima, strongest at {frames.range_m[row.argmax()]:.2f} m")
+        plt.plot(frames.range_m, row, label=f"average over {width} bins")
+    plt.xlabel("range [m]")
+    plt.ylabel("amplitude of the ray model")
+    plt.legend()
+    plt.savefig("thesis_smoothing.png")
 
     before, after = (frames.amplitude[0] for frames in rows.values())
     if not tops(after) < tops(before):

@@ -13,8 +13,9 @@ def main() -> None:
     for range_m in (2.0, 4.0, 8.0):
         profile = np.exp(-0.5 * ((spec.range_m - range_m) / 0.05) ** 2)[None].astype(np.float32)
         frames = ul.Frames(profile, spec.range_m, path.t_ns, spec, path, unit="thesis")
-        touched = ul.map_occupancy(frames, grid, method="elfes", threshold=0.5).percent >= 0
-        rows, columns = np.nonzero(touched)
+        omap = ul.map_occupancy(frames, grid, method="elfes", threshold=0.5)
+        omap.plot().figure.savefig(f"thesis_square_{range_m:g}_m.png")
+        rows, columns = np.nonzero(omap.percent >= 0)
         square = np.ptp(rows) + 1, np.ptp(columns) + 1
         shares[range_m] = square[0] * square[1] / grid.size
         print(f"echo at {range_m:g} m: {square[1]} x {square[0]} cells of {grid.shape[1]} x {grid.shape[0]}")

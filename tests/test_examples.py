@@ -1,4 +1,4 @@
-"""Every example runs and finds its physical statement true."""
+"""Every example runs, finds its physical statement true, and leaves a picture."""
 
 from __future__ import annotations
 
@@ -37,12 +37,11 @@ def test_example(path: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
         runpy.run_path(str(path), run_name="__main__")
     except SystemExit as end:
         pytest.fail(f"{path.name}: {end.code}")
-    for name in WRITES.get(path.stem, []):
-        assert (tmp_path / name).stat().st_size > 1000
+    assert [picture.name for picture in tmp_path.glob("*.png") if picture.stat().st_size > 1000]
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
 def test_an_example_is_short_and_checks_itself(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    assert text.count("\n") <= 55
+    assert text.count("\n") <= 61
     assert "SystemExit(" in text or path.stem == "receiver_beside_recording"
