@@ -227,7 +227,7 @@ def test_a_job_of_an_hour_writes_few_lines_without_a_terminal_and_says_what_is_l
     ("words", "says"),
     [
         (("show", "latest"), "frames.mcap"),
-        (("show", "latest", "--png"), "figures/map.png"),
+        (("show", "latest", "--png"), "/figures/"),
         (("report", "latest", "--html"), "report.html"),
         (("list",), "cargo-hold"),
         (("list",), "x4m05"),

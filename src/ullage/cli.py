@@ -787,6 +787,34 @@ def _tabulate(done: Sweep, metrics: list[str]) -> None:
     console.print(table)
 
 
+@app.command(hidden=True)
+def device(
+    kind: Annotated[str, typer.Argument(help="x4 or mrm.")],
+    pty: Annotated[bool, typer.Option("--pty", help="x4: on a pseudo terminal, which is its only place.")] = False,
+    port: Annotated[int, typer.Option("--port", help="mrm: UDP port on this computer; 0: a free one.", min=0)] = 21210,
+    faults: Annotated[str, typer.Option("--faults", help="loss, duplicate, late, garbage, with commas.")] = "",
+) -> None:
+    """Simulate a radar instrument, until Ctrl-C.
+
+    It answers its protocol, for a try of x4: and mrm: without hardware.
+    """
+    from ullage.errors import InputError
+    from ullage.ports.instruments.simulated import SimulatedMrm, SimulatedX4, faults_of
+
+    if kind not in ("x4", "mrm") or (pty and kind == "mrm"):
+        raise InputError(f"no instrument {kind!r}{' --pty' * pty}", where="device", allowed="x4 --pty, mrm")
+    given = faults_of(faults)
+    simulated = SimulatedX4(given) if kind == "x4" else SimulatedMrm(port, given)
+    place = simulated.path if isinstance(simulated, SimulatedX4) else simulated.address
+    typer.echo(f"a simulated instrument, no hardware: ullage run {kind}:{place}")
+    try:
+        simulated.wait()
+    except KeyboardInterrupt:
+        typer.echo(f"{simulated.sent} frames sent")
+    finally:
+        simulated.close()
+
+
 @app.command()
 def doctor(
     bag: Annotated[str, typer.Argument(help="Recording to repair: a run's or rosbag2 folder that a kill left.")] = "",

@@ -28,11 +28,16 @@ LIVE = {
     "gazebo-classic": "ullage.ports.gazebo.classic_port",
     "imc": "ullage.ports.imc.port",
     "mavlink": "ullage.ports.mavlink.port",
+    "x4": "ullage.ports.instruments.x4",
+    "mrm": "ullage.ports.instruments.mrm",
 }
-"""Scheme to the module with `open_source(address, options)` and `open_sink(address, options)`."""
+"""Scheme to the module with `open_source(address, options)` and, but for radars, `open_sink(address, options)`."""
 ADDED: tuple[plugins.Group, plugins.Group] = ("ullage.sources", "ullage.sinks")
 """Entry point groups for live ports of other packages: each a function of the place and the options."""
+INSTRUMENTS = ("x4", "mrm")
+"""Of these, radars, which take nothing."""
 LISTED = ", ".join(f"{scheme}:" for scheme in LIVE)
+LISTED_SINKS = ", ".join(f"{scheme}:" for scheme in LIVE if scheme not in INSTRUMENTS)
 
 
 class LiveSource(Source):

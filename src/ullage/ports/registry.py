@@ -16,7 +16,7 @@ from ullage.errors import InputError, need, shown
 from ullage.grids import OccupancyMap
 from ullage.ports.arrays import refuse_pickle
 from ullage.ports.guarded import GuardedSource, only_files
-from ullage.ports.live import LISTED, LIVE, Address
+from ullage.ports.live import INSTRUMENTS, LISTED, LISTED_SINKS, LIVE, Address
 from ullage.ports.protocol import Item, Sink, Source, WholeSource
 from ullage.ports.tracked import open_tracked
 from ullage.untrusted import load_yaml, read_yaml, reading, regular_size
@@ -27,7 +27,7 @@ SOURCES = (
     "or .h5, or a folder with frames.mcap, metadata.yaml, or radar.out (.npz, .mat, .h5, .dat, .json) and a track "
     "(mocap.csv, track.csv, .txt, .ulg, .bin, .nmea, .mcap, .bag)"
 )
-SINKS = f".mcap, a folder, .zarr, .lsf, .lsf.gz, a map: .yaml, .bt, .ot, .ply; or live: {LISTED}"
+SINKS = f".mcap, a folder, .zarr, .lsf, .lsf.gz, a map: .yaml, .bt, .ot, .ply; or live: {LISTED_SINKS}"
 LOGS = (".lsf", ".lsf.gz")
 NEEDED = {"ros2": ("rclpy",), "gazebo": ("zmq", "google.protobuf"), "mavlink": ("pymavlink",)}
 """Libraries of live ports beyond those of every installation, in the extra of the port's name."""
@@ -149,7 +149,7 @@ def sink(target: str | Path, **options: Any) -> Sink:
     """
     path = _path_of(target, SINKS)
     if address := Address.of(target, **options):
-        if not address.known:
+        if not address.known or address.scheme in INSTRUMENTS:
             raise InputError("not something to write to", where=target, allowed=SINKS)
         return address.sink()
     check_beside(path)
@@ -196,7 +196,7 @@ def check_sink(target: str | Path) -> None:
     """
     path = _path_of(target, SINKS)
     if address := Address.of(target):
-        if not address.known:
+        if not address.known or address.scheme in INSTRUMENTS:
             raise InputError("not something to write to", where=target, allowed=SINKS)
         if address.scheme in LIVE:
             address.port()

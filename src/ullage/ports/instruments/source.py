@@ -1,0 +1,208 @@
+"""Frames from an instrument: a thread takes its scans as they come, and finds it again when it was gone."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from ullage.data import Frames
+from ullage.errors import InputError
+from ullage.ports.cosimulation import options_of
+from ullage.ports.instruments.clock import InstrumentClock
+from ullage.ports.intake import PATIENCE_S, Counters, Inbox, LiveOptions, Log
+from ullage.ports.live import LiveSource
+from ullage.specs import RadarSpec
+
+RETRY_S = 0.5
+"""Between two attempts to open an instrument that is gone [s]."""
+BATCH_S = 0.1
+"""Scans are given on together that came within this [s]."""
+
+
+class Scan(NamedTuple):
+    """One scan as it came."""
+
+    samples: NDArray[Any]  # (b)
+    device_s: float  # time on the instrument's clock [s]
+    arrived_s: float  # on this computer's clock [s]
+    lost: int = 0  # scans before it that did not come whole
+
+
+class Instrument(Protocol):
+    """A radar that measures on request."""
+
+    spec: RadarSpec
+    """As the instrument was set; its ranges are those it answered."""
+    unit: str
+    place: str
+    """What complaints name."""
+
+    def start(self) -> None:
+        """Open it, set it up, and let it measure.
+
+        Raises:
+            InputError: it is not there, is in use, does not answer, or refuses a setting.
+        """
+
+    def scans(self) -> Iterator[Scan]:
+        """Give scans without an end; an OSError tells that it is gone. Return now and then without a scan."""
+
+    def close(self) -> None:
+        """Let it rest, and close the line."""
+
+    def health(self) -> list[str]:
+        """Return what it says of itself, for the end of a run."""
+
+
+class InstrumentOptions(LiveOptions):
+    """Options of every instrument; all others are fields of its RadarSpec."""
+
+    preset: str = Field("", description="radar preset or YAML file; none: that of the instrument")
+    sensor: str = Field("", description="name of the radar; none: that of the port")
+    duration_s: float | None = Field(None, gt=0, description="how long to measure [s]; none: until Ctrl-C")
+
+
+def split_options(kind: type[Any], values: dict[str, Any], preset: str, where: str) -> tuple[Any, RadarSpec]:
+    """Split options into those of the port and a RadarSpec.
+
+    Raises:
+        InputError: an option is unknown, or its value is not valid.
+    """
+    own = {name: value for name, value in values.items() if name in kind.model_fields}
+    options = options_of(kind, own, where)
+    known = [*kind.model_fields, *RadarSpec.model_fields]
+    for name in values:
+        if name not in known:
+            raise InputError(f"no option {name!r}", where=where, allowed=", ".join(known))
+    changes = {name: value for name, value in values.items() if name not in own}
+    return options, RadarSpec.preset(options.preset or preset, **changes)
+
+
+class InstrumentSource(LiveSource):
+    """Frames of one instrument, on this computer's clock by the instrument's counter.
+
+    Args:
+        instrument: what measures; it is started here.
+        options: name, duration, and what is too late.
+        name: of the radar, unless the options have one.
+        log: takes lines for the user; None: they become warnings.
+
+    Raises:
+        InputError: the instrument cannot be started.
+    """
+
+    def __init__(
+        self, instrument: Instrument, options: InstrumentOptions, name: str, *, log: Log | None = None
+    ) -> None:
+        super().__init__(log=log, lag_s=options.lag_s)
+        self._instrument, self._options, self.where = instrument, options, instrument.place
+        self._name = options.sensor or name
+        self.counters = Counters(self._log)
+        self._inbox: Inbox[Scan | str] = Inbox(self.counters, lag_s=options.lag_s)
+        self._clock, self._last_ns, self._first_ns = InstrumentClock(), 0, 0
+        self._closed = threading.Event()
+        instrument.start()
+        self._thread = threading.Thread(target=self._receive, name=self.where, daemon=True)
+        self._thread.start()
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """The one radar."""
+        return (self._name,)
+
+    def _without_end(self) -> str:
+        return "duration_s=SECONDS" if self._options.duration_s is None else ""
+
+    def _queue(self) -> Inbox[Any]:
+        return self._inbox
+
+    def _receive(self) -> None:
+        """Take scans until the end; where the instrument is gone, wait for it."""
+        while not self._closed.is_set():
+            try:
+                for scan in self._instrument.scans():
+                    if scan.lost:
+                        self.counters.receive(self._name, scan.lost)
+                        self.counters.drop(self._name, "lost", "did not come whole", count=scan.lost)
+                    self._inbox.put(scan, topic=self._name, size=scan.samples.nbytes)
+                    if self._closed.is_set():
+                        break
+            except (OSError, InputError) as error:
+                if not self._closed.is_set():
+                    self._inbox.put(f"{self.where}: {_why(error)}; waiting for it")
+                    self._await()
+        self._instrument.close()
+
+    def _await(self) -> None:
+        self._instrument.close()
+        while not self._closed.wait(RETRY_S):
+            try:
+                self._instrument.start()
+            except (OSError, InputError):
+                continue
+            self._inbox.put(f"{self.where}: measures again")
+            return
+
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """Give frames as they come, at most `chunk` at once, until Ctrl-C, the given end, or `stop`."""
+        scans: list[Scan] = []
+        given_s = heard_s = time.monotonic()
+        try:
+            while not (self._closed.is_set() or self._over()):
+                item = self._inbox.get(BATCH_S)
+                now_s = time.monotonic()
+                if isinstance(item, str):
+                    self._log(item)
+                elif item is not None:
+                    scans.append(item)
+                    heard_s = now_s
+                elif now_s - heard_s > PATIENCE_S:
+                    self._log_throttled(f"{self.where}: no scan for {now_s - heard_s:.0f} s", kind="silent")
+                stopping = self._stopping and not len(self._inbox)
+                if scans and (len(scans) >= chunk or now_s - given_s >= BATCH_S or stopping):
+                    self.counters.report()
+                    yield {self._name: self._frames(scans)}
+                    scans, given_s = [], time.monotonic()
+                if stopping:
+                    return
+        finally:
+            self._report()
+
+    def _over(self) -> bool:
+        wanted = self._options.duration_s
+        return wanted is not None and self._first_ns > 0 and self._last_ns - self._first_ns >= wanted * 1e9
+
+    def _frames(self, scans: list[Scan]) -> Frames:
+        times = []
+        for scan in scans:
+            t_ns = round(self._clock.at(scan.device_s, scan.arrived_s) * 1e9)
+            self._last_ns = max(t_ns, self._last_ns + 1000)
+            self._first_ns = self._first_ns or self._last_ns
+            times.append(self._last_ns)
+        spec = self._instrument.spec
+        samples = np.stack([scan.samples for scan in scans])
+        return Frames(samples, spec.range_m, np.array(times), spec, sensor=self._name, unit=self._instrument.unit)
+
+    def _report(self) -> None:
+        for line in (*self.counters.lines(), *self._instrument.health()):
+            self._log(f"{self.where}: {line}")
+        if self._first_ns:
+            self._log(
+                f"{self.where}: times by the instrument's counter, {self._clock.drift_ppm:+.0f} ppm off this clock; "
+                f"scans came with a jitter of {1e3 * self._clock.jitter_s:.1f} ms"
+            )
+
+    def close(self) -> None:
+        """Let the instrument rest, and end the thread."""
+        self._closed.set()
+        self._thread.join(5.0)
+
+
+def _why(error: OSError | InputError) -> str:
+    return error.what if isinstance(error, InputError) else f"is gone ({error.strerror or type(error).__name__})"
