@@ -35,7 +35,8 @@ from ullage.world.scene import Scene
 
 EDGE_M = 0.3  # edge of the simulated corner reflectors: that of the real ones is not recorded
 ROOM_M = (8.0, 6.0, 3.0)  # size of the simulated room where nothing is known about the real one
-BANDS = ((0.5, 1.0), (1.0, 2.0), (2.0, 3.0), (3.0, 4.5), (4.5, 6.0), (6.0, 8.0), (8.0, 12.0))
+BANDS = ((1.0, 3.0), (3.0, 4.5), (4.5, 11.0))
+LOBES_M = (0.15, 0.3)  # distances from a reflector at which its response has side lobes
 GAP_M = (1.0, 4.5)  # ranges at which recorded rooms are louder than simulated ones
 NEAR_M, FLANK_M = 0.15, 0.45  # half widths around an expected range: the echo, and its surroundings
 STEP_M = 0.02  # least distance flown between compared frames
@@ -73,6 +74,7 @@ class Comparison:
     shares: dict[str, float]  # of the recorded power within GAP_M, by cause
     images: tuple[Image, Image] | None = None
     points: tuple[dict[str, float], dict[str, float]] | None = None  # of the reflector: error and widths [m]
+    lobes_db: dict[str, float] | None = None  # of its side lobes over its peak: recorded, simulated, with tails
     behind: tuple[int, int] | None = None  # coherent scatterers behind the antenna, and all
 
     def level_db(self, name: str, low: float, high: float) -> float:
@@ -239,7 +241,8 @@ def compare(case: Recorded) -> Comparison:
     over_noise = {name: 10 * np.log10(np.maximum(one / noise**2, 1e-6)) for name, one in profiles.items()}
     behind = None if case.frames.calibration is None else count_behind(case.frames)
     shares = _shares(case, receiver, real)
-    return Comparison(case, receiver, real.range_m, over_noise, shares, *_imaged(case, real, spec), behind)
+    images, points, lobes = _imaged(case, real, spec)
+    return Comparison(case, receiver, real.range_m, over_noise, shares, images, points, lobes, behind)
 
 
 def _flown(scene: Scene, path: Trajectory, spec: RadarSpec) -> Frames:
@@ -363,10 +366,10 @@ def _expected(case: Recorded, real: Frames, part: Bools, noise: float) -> dict[s
 
 def _imaged(
     case: Recorded, real: Frames, spec: RadarSpec
-) -> tuple[tuple[Image, Image] | None, tuple[dict[str, float], dict[str, float]] | None]:
-    """Focus images of the first reflector, and measure its position error and widths in them."""
+) -> tuple[tuple[Image, Image] | None, tuple[dict[str, float], dict[str, float]] | None, dict[str, float] | None]:
+    """Focus images of the first reflector, and measure its position error, widths and side lobes in them."""
     if case.targets is None:
-        return None, None
+        return None, None, None
     ours = _flown(case.targets, real.believed, spec)
     place = case.reflectors[0]
     grid = Grid.covering(np.stack([place - 0.8, place + 0.8]), 0.02, z_m=float(place[2]))
@@ -374,7 +377,19 @@ def _imaged(
     images = focus(clean, grid), focus(ours, grid)
     wanted = ("error", "width_x_6db", "width_y_6db")
     found = [image_quality(image, target_m=place, search_m=0.4) for image in images]
-    return images, tuple({name: one[name].value for name in wanted} for one in found)  # type: ignore[return-value]
+    shown = {"recorded": images[0], "simulated": images[1], "tails": focus(_with_tails(ours, spec), grid)}
+    lobes = {name: lobe_db(image, place) for name, image in shown.items()}
+    return images, tuple({name: one[name].value for name in wanted} for one in found), lobes  # type: ignore[return-value]
+
+
+def lobe_db(image: Image, place: Floats) -> float:
+    """Return the strongest amplitude `LOBES_M` from the peak near a place (3), over that peak [dB]."""
+    x, y = image.grid.x_m[None], image.grid.y_m[:, None]
+    near = np.where(np.hypot(x - place[0], y - place[1]) < 0.4, image.amplitude, 0)
+    row, column = np.unravel_index(int(np.argmax(near)), near.shape)
+    away = np.hypot(x - image.grid.x_m[column], y - image.grid.y_m[row])
+    lobe = image.amplitude[(away >= LOBES_M[0]) & (away <= LOBES_M[1])].max()
+    return float(20 * np.log10(lobe / image.amplitude[row, column]))
 
 
 @dataclass(frozen=True, slots=True)

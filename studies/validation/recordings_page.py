@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.validation.recordings import BANDS, GAP_M, Comparison, compare, compare_ring_downs, recordings
+from studies.validation.recordings import BANDS, GAP_M, LOBES_M, Comparison, compare, compare_ring_downs, recordings
 from studies.validation.recordings_figure import draw_recorded
 from studies.validation.rows import Row
 from ullage.files import write_whole
@@ -61,6 +61,9 @@ def bounded(one: Comparison) -> Iterator[Row]:
         f"{name}: noise of neighbouring bins, correlation", 0.0, float(misfit["correlation_lag_1"].value), 0.05, ""
     )
     if one.points is not None:
+        low, high = BANDS[0]
+        levels = [one.level_db(which, low, high) for which in ("recorded", "receiver")]
+        yield Row(f"{name}: level from {low:g} to {high:g} m", *levels, 4.0)
         real, ours = one.points
         yield Row(f"{name}: focused reflector to its survey", 0.0, real["error"], 0.15, "m")
         yield Row(f"{name}: simulated reflector to its survey", 0.0, ours["error"], 0.02, "m")
@@ -80,8 +83,17 @@ def _page(found: list[Comparison], rows: list[Row]) -> str:
         "| recording | known facts about the place |", "|---|---|",
         *(f"| {one.case.what} | {one.case.known} |" for one in found), "",
         "## Level over range", "",
-        "| recording | range | recorded | known world | with the fitted receiver |", "|---|---|---|---|---|",
+        "| recording | range | recorded | known world | with the fitted receiver | not explained |",
+        "|---|---|---|---|---|---|",
         *(line for one in found for line in _bands(one)), "",
+        f"Bounded is the level from {BANDS[0][0]:g} to {BANDS[0][1]:g} m of the PulsON over surveyed reflectors: the",
+        "fitted receiver's own echo makes most of the power there. Farther away this own echo ends. Of the places only",
+        "reflectors and a floor are known, and of the others nothing. So their levels have no bound.", "",
+        "## Side lobes", "",
+        f"Strongest amplitude {LOBES_M[0]:g} to {LOBES_M[1]:g} m from the first reflector in its image, over its peak",
+        "[dB]. With tails each simulated echo is followed by the tail of the instrument's direct path.", "",
+        "| recording | recorded | simulated | with tails |", "|---|---|---|---|",
+        *(_lobes(one) for one in found if one.lobes_db), "",
         f"## From {GAP_M[0]:g} to {GAP_M[1]:g} m", "",
         *_causes(found), "",
         "## Bounds", "",
@@ -99,8 +111,13 @@ def _bands(one: Comparison) -> Iterator[str]:
     for low, high in BANDS:
         levels = [one.level_db(name, low, high) for name in ("recorded", "world", "receiver")]
         if np.isfinite(levels[0]):
-            cells = " | ".join(_db(level) for level in levels)
+            cells = " | ".join([*(_db(level) for level in levels), f"{levels[0] - max(levels[2], 0.0):.1f}"])
             yield f"| {one.case.what} | {low:g} to {high:g} m | {cells} |"
+
+
+def _lobes(one: Comparison) -> str:
+    values = " | ".join(f"{value:.1f}" for value in (one.lobes_db or {}).values())
+    return f"| {one.case.what} | {values} |"
 
 
 def _db(level: float) -> str:
