@@ -10,6 +10,7 @@ from pathlib import Path
 from studies.thesis.plan import EXPERIMENTS
 from studies.thesis.report import opening
 from studies.thesis.results import Results, Table, read_results
+from studies.thesis.task import origin_of
 from ullage.errors import InputError
 from ullage.experiments.folder import read_json, write_text
 
@@ -56,12 +57,9 @@ def write_docs(root: Path, repository: Path) -> Path:
     lines = [HEAD, *_opening([(e.title, read_results(root / e.name / "results.json")) for e in done])]
     for experiment in done:
         tree = read_json(root / experiment.name / "results.json")
-        size = "Small run (`--quick`)" if tree["quick"] else "Whole run"
-        cpu = f", {tree['cpu_s']:.0f} s of CPU" if tree.get("cpu_s") else ""
-        told = f"{size} on {tree['machine']['processor']}{cpu}.\n"
         section = f" ({experiment.section})" if experiment.section[0].isdigit() else ""
         lines.append(f"\n## {experiment.title}{section}\n")
-        lines.append(told)
+        lines.append(f"{origin_of(tree)}\n")
         lines += _chapter(read_results(root / experiment.name / "results.json"), experiment.name, root, repository)
     page = repository / "studies" / "reproduced.md"
     page.parent.mkdir(exist_ok=True)

@@ -66,7 +66,7 @@ copied here, hold it beside this page.</p>
 <table>{% for v in c.verdicts %}<tr><td>{{ v.name }}</td><td>{{ v.text }}</td>
 <td class="{{ "good" if v.inside else "bad" }}">{{ "holds" if v.inside else "does not" }}</td></tr>{% endfor %}</table>
 </details>{% endif %}
-<p class="small">{{ c.took }}</p>
+<p class="small">{{ c.origin }}</p>
 {% endfor %}
 </body></html>
 """
@@ -150,5 +150,5 @@ def _chapter(chapter: Chapter) -> dict[str, Any]:
         ],
         "verdicts": [{"name": name, "text": v.text, "inside": v.inside} for name, v in chapter.verdicts],
         "inside": sum(v.inside for _, v in chapter.verdicts),
-        "took": f"{chapter.cpu_s:.0f} s of CPU in {chapter.took_s:.0f} s",
+        "origin": chapter.origin,
     }  # fmt: skip

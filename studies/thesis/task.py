@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
+import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import ullage
 from studies.thesis.plan import Experiment
@@ -27,6 +30,7 @@ class Chapter:
     folder: Path
     results: Results
     verdicts: tuple[tuple[str, Verdict], ...]  # scenario, bound
+    origin: str  # of what code, when, where
     took_s: float
     cpu_s: float
 
@@ -125,16 +129,44 @@ class ExperimentTask:
         except OSError as error:
             raise InputError(f"cannot write: {error.strerror}", where=self.folder, allowed="--out DIR") from None
         work = Workspace(self.folder, self.quick, log=log, recordings=self.recordings)
-        wall, cpu = time.monotonic(), time.process_time()
+        wall, cpu, load = time.monotonic(), time.process_time(), os.getloadavg()[0]
         self.experiment.run(work)
         spent = {"took_s": time.monotonic() - wall, "cpu_s": time.process_time() - cpu}
-        work.results.write(self.mark, inputs=self.inputs, quick=self.quick, machine=provenance()["machine"], **spent)
+        origin = provenance()
+        made = {"commit": commit_now(), "date": origin["started"][:10], "load": round(max(load, os.getloadavg()[0]), 1)}
+        work.results.write(
+            self.mark, inputs=self.inputs, quick=self.quick, machine=origin["machine"], made=made, **spent
+        )
 
     def chapter(self) -> Chapter:
         """Return its results."""
         results, tree = read_results(self.mark), read_json(self.mark)
         judged = [(Path(run).name, verdict) for run in results.scenarios for verdict in verdicts(self.folder / run)]
-        return Chapter(self.experiment, self.folder, results, tuple(judged), tree["took_s"], tree["cpu_s"])
+        return Chapter(
+            self.experiment, self.folder, results, tuple(judged), origin_of(tree), tree["took_s"], tree["cpu_s"]
+        )
+
+
+def commit_now() -> str:
+    """Return the commit of the source tree, with a plus where files differ from it; unknown outside a checkout."""
+    try:
+        text = subprocess.run(
+            ["git", "describe", "--always", "--dirty=+", "--exclude=*"],
+            cwd=Path(__file__).parent, capture_output=True, text=True, check=True, timeout=10,
+        ).stdout  # fmt: skip
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return text.strip()
+
+
+def origin_of(tree: Mapping[str, Any]) -> str:
+    """Return in a line of what code, when, where and under which load results were made."""
+    made, machine = tree.get("made", {}), tree["machine"]
+    size = "Small run (`--quick`)" if tree["quick"] else "Whole run"
+    load = f", load {made['load']:g} on {machine['cores']} cores" if "load" in made else ""
+    cpu = f"; {tree['cpu_s']:.0f} s of CPU in {tree['took_s']:.0f} s" if tree.get("cpu_s") else ""
+    by = f" of commit {made['commit']}, {made['date']}" if made else ""
+    return f"{size}{by}, on {machine['processor']}{load}{cpu}."
 
 
 def code_now() -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -78,6 +79,7 @@ def test_what_is_done_is_not_done_again_and_what_was_interrupted_is(tmp_path):
     assert not again.interrupted
     assert (first.calls, second.calls) == (["first"], ["second", "second"])
     assert again.counts == (2, 2)
+    assert re.search(r"Small run \(`--quick`\) of commit \S+, \d{4}-\d\d-\d\d, on .*load", again.report.read_text())
     reproduce(tmp_path, [first], quick=True, fresh=True)
     assert first.calls == ["first", "first"]
 
