@@ -96,8 +96,9 @@ class MrmRadar:
         """Set the radar up, and let it scan without an end."""
         try:
             host, port = self._address
-            family, _, _, _, self._peer = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+            family, _, _, _, peer = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
+            self._socket.connect(peer)  # hears this radar only
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 21)
             self._socket.settimeout(PAUSE_S)
         except OSError as error:
@@ -148,11 +149,9 @@ class MrmRadar:
         Raises:
             InputError: no confirmation comes, or its status is an error.
         """
-        if self._socket is None:
-            raise OSError(0, "closed")
         for _ in range(TRIES):
             number = next(self._numbers) & 0xFFFF
-            self._socket.sendto(struct.pack(">HH", kind, number) + body, self._peer)
+            self._send(struct.pack(">HH", kind, number) + body)
             end_s = time.monotonic() + ANSWER_S
             while time.monotonic() < end_s:
                 answer = self._receive()
@@ -162,6 +161,14 @@ class MrmRadar:
                     raise InputError(f"the radar refuses {what}: status {code}", where=self.place)
                 return answer
         raise InputError(f"no answer when asked for {what}", where=self.place, allowed="the address of a PulsON 440")
+
+    def _send(self, request: bytes) -> None:
+        if self._socket is None:
+            raise OSError(0, "closed")
+        try:
+            self._socket.send(request)
+        except ConnectionRefusedError:  # about an earlier request: nothing listens there yet
+            time.sleep(PAUSE_S)
 
     def _receive(self) -> bytes:
         """Return the next packet; empty where none comes for a moment."""
@@ -214,7 +221,7 @@ class MrmRadar:
             return
         try:
             request = struct.pack(">HHHHI", CONTROL, next(self._numbers) & 0xFFFF, 0, 0, 0)
-            self._socket.sendto(request, self._peer)
+            self._send(request)
         except OSError:
             pass  # it is gone
         finally:
