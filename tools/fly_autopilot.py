@@ -36,7 +36,7 @@ M_PER_UNIT = 0.011131884502145034
 """Metres of a 1e-7 degree of latitude on ArduPilot's sphere."""
 HULL_M = 0.25
 """A surface nearer than this to the body's centre counts as hit."""
-HEIGHT_M, AHEAD_M, MARGIN_M = 1.5, 6.0, 1.5
+HEIGHT_M, AHEAD_M, MARGIN_M, CEILING_M = 1.5, 6.0, 1.5, 5.0
 READY_S = 240.0
 PARAMETERS = {
     "FRAME_CLASS": 1, "FRAME_TYPE": 0, "PRX1_TYPE": 2, "AVOID_ENABLE": 7, "AVOID_MARGIN": MARGIN_M, "FS_THR_ENABLE": 0,
@@ -49,6 +49,12 @@ PARAMETERS = {
 """The simulated sensors count as calibrated; the rest is as docs/mavlink.md sets it."""
 MODES = {"loiter": 5, "guided": 4, "auto": 3}
 Send = Callable[[], None]
+
+
+def sdf(text: str) -> str:
+    """A file that holds a world or a model."""
+    names = 'xmlns:ullage="urn:ullage:sdf" xmlns:gz="http://gazebosim.org/schema"'
+    return f'<?xml version="1.0"?><sdf version="1.9" {names}>{text}</sdf>'
 
 
 def box(name: str, at: tuple[float, float, float], size: tuple[float, float, float], yaw_deg: float = 0.0) -> str:
@@ -71,6 +77,18 @@ def _model(name: str, pose: tuple[float, ...], shape: str) -> str:
     )
 
 
+def radars(mounts: dict[str, str]) -> str:
+    """A model with radars: names and poses."""
+    sensors = "".join(
+        f'<sensor name="{name}" type="custom" gz:type="ullage_radar"><pose>{pose}</pose><update_rate>17</update_rate>'
+        "<ullage:radar><preset>x4m05</preset></ullage:radar></sensor>"
+        for name, pose in mounts.items()
+    )
+    return f'<model name="copter"><link name="l">{sensors}</link></model>'
+
+
+UP = radars({"front": "0.1 0 0 0 0 0", "left": "0 0.1 0 0 0 1.5708", "back": "-0.1 0 0 0 0 3.14159",
+             "right": "0 -0.1 0 0 0 -1.5708", "up": "0 0 0.06 0 -1.5708 0"})  # fmt: skip
 FLOOR = box("floor", (0, 0, -0.05), (60, 60, 0.1))
 
 
@@ -104,7 +122,8 @@ class Case:
     speeds_m_s: tuple[float, ...] = (0.5, 1.0, 1.5)
     passes: bool = False  # it is right to fly on
     floor: bool = True
-    rig: str = "thesis-4"
+    rig: str = "thesis-4"  # or a model with radars
+    climbs: bool = False  # it is pushed up, not ahead
     lost_at_m: float = math.inf  # ullage ends once the vehicle is there
     parameters: dict[str, float] = field(default_factory=dict)
 
@@ -118,7 +137,7 @@ CASES = {
     "pole 5 cm": Case(rod("pole", (AHEAD_M, 0, 2), 0.025, 4)),
     "wire 3 mm": Case(rod("wire", (AHEAD_M, 0, HEIGHT_M), 0.0015, 12, level=True)),
     "gap 1.5 m": Case(gap(1.5), speeds_m_s=(1.0,), passes=True, parameters={"AVOID_MARGIN": 0.5}),
-    "gap 2.2 m": Case(gap(2.2), speeds_m_s=(1.0,), passes=True, parameters={"AVOID_MARGIN": 0.7}),
+    "gap 2.2 m": Case(gap(2.2), speeds_m_s=(0.5, 1.0), passes=True, parameters={"AVOID_MARGIN": 0.7}),
     "wall 1 m beside": Case(
         box("wall", (AHEAD_M, -1.1, 2), (8, 0.2, 6)),
         speeds_m_s=(0.5, 1.0),
@@ -129,6 +148,9 @@ CASES = {
     "radars lost": Case(wall(), ("guided", "auto"), (1.0,), lost_at_m=2.0),
     "wall 10 m ahead, one radar": Case(
         box("wall", (10.1, 0, 2), (0.2, 20, 6)), speeds_m_s=(0.0,), floor=False, rig="single"
+    ),
+    "ceiling on climb": Case(
+        box("ceiling", (0, 0, CEILING_M + 0.05), (20, 20, 0.1)), speeds_m_s=(0.5,), rig=UP, climbs=True
     ),
 }
 
@@ -231,12 +253,13 @@ class Pilot:
                 return ""
         return "did not climb"
 
-    def push(self, mode: str, speed_m_s: float) -> Send:
-        """What asks for a speed along +x in a mode."""
+    def push(self, mode: str, speed_m_s: float, *, climbs: bool) -> Send:
+        """What asks for a speed along +x in a mode, or upwards."""
         if mode == "guided":
             only_velocity = 0b0000110111000111
+            velocity = (0, 0, -speed_m_s) if climbs else (0, speed_m_s, 0)
             return lambda: self.mav.mav.set_position_target_local_ned_send(
-                0, 1, 1, 1, only_velocity, 0, 0, 0, 0, speed_m_s, 0, 0, 0, 0, math.radians(90), 0
+                0, 1, 1, 1, only_velocity, 0, 0, 0, *velocity, 0, 0, 0, math.radians(90), 0
             )
         self.command(176, 1, MODES[mode])
         if mode == "auto":
@@ -272,22 +295,23 @@ def free_port() -> int:
         return int(sock.getsockname()[1])
 
 
-def flown(binary: Path, flight: Flight, do: str, push_s: float) -> None:
-    """Fly once, and fill in what was seen."""
+def flown(binary: Path, flight: Flight, do: str, push_s: float) -> str:
+    """Fly once, fill in what was seen, and return the lines of ullage."""
     case, gcs, radars = CASES[flight.case], free_port(), free_port()
     speed_cm_s = 100 * flight.speed_m_s
     parameters = PARAMETERS | {"LOIT_SPEED": max(speed_cm_s, 20), "WPNAV_SPEED": max(speed_cm_s, 20)}
     parameters |= case.parameters | flight.parameters
     with tempfile.TemporaryDirectory(prefix="fly_autopilot") as folder:
         world, log = Path(folder, "world.sdf"), Path(folder, "ullage.log")
-        world.write_text(
-            f'<?xml version="1.0"?><sdf version="1.9"><world name="w">{case.world}{FLOOR if case.floor else ""}'
-            "</world></sdf>"
-        )
+        world.write_text(sdf(f'<world name="w">{case.world}{FLOOR if case.floor else ""}</world>'))
+        rig = case.rig
+        if rig.startswith("<"):
+            rig = str(Path(folder, "rig.sdf"))
+            Path(rig).write_text(sdf(case.rig))
         Path(folder, "own.parm").write_text("".join(f"{name} {value}\n" for name, value in parameters.items()))
         home = ",".join(str(value) for value in (*HOME, 90))
         place = f"mavlink:udpin://127.0.0.1:{radars}"
-        ours = [sys.executable, "-m", "ullage", "run", f"{place}?world={world}&rig={case.rig}&wait_s=300",
+        ours = [sys.executable, "-m", "ullage", "run", f"{place}?world={world}&rig={rig}&wait_s=300",
                 "--to", f"{place}?{flight.options}", "--out", folder, *(["--do", do] if do else [])]  # fmt: skip
         theirs = [str(binary), "--model", "quad", "--home", home, "--speedup", "1", "--wipe", "--defaults", "own.parm",
                   "--serial0", f"udpclient:127.0.0.1:{gcs}", "--serial1", f"udpclient:127.0.0.1:{radars}",
@@ -307,6 +331,7 @@ def flown(binary: Path, flight: Flight, do: str, push_s: float) -> None:
         flight.ages_ms = tuple(float(value) for value in ages.groups()) if ages else ()
         if flight.failed:
             flight.failed += f" (ullage: {lines.strip().splitlines()[-1:]})"
+    return lines
 
 
 def _ended(process: subprocess.Popen[bytes]) -> None:
@@ -326,7 +351,7 @@ def _fly_case(flight: Flight, case: Case, pilot: Pilot, ours: subprocess.Popen[b
         flight.failed = "the mission was refused"
         return
     begun, x0 = time.monotonic(), pilot.at
-    send = pilot.push(flight.mode, flight.speed_m_s)
+    send = pilot.push(flight.mode, flight.speed_m_s, climbs=case.climbs)
     way_s = (1.5 * AHEAD_M if case.passes else AHEAD_M) / flight.speed_m_s if flight.speed_m_s else 0.0
     far = lambda: pilot.at[0] > 2 * AHEAD_M  # noqa: E731
     if math.isfinite(case.lost_at_m):
@@ -345,7 +370,7 @@ def _fly_case(flight: Flight, case: Case, pilot: Pilot, ours: subprocess.Popen[b
 def measure(flight: Flight, case: Case, track: Any, x0: tuple[float, float, float]) -> None:
     """Fill in the distances of a track (n, 4) of times and places from the obstacles of a case, floor left out."""
     with tempfile.NamedTemporaryFile("w", suffix=".sdf") as world:
-        world.write(f'<?xml version="1.0"?><sdf version="1.9"><world name="w">{case.world}</world></sdf>')
+        world.write(sdf(f'<world name="w">{case.world}</world>'))
         world.flush()
         body = bodies(load_scene(world.name))[0]
     away = np.array([body.gaps(place, 0.0)[1].min() for place in track[:, 1:]])
@@ -355,7 +380,8 @@ def measure(flight: Flight, case: Case, track: Any, x0: tuple[float, float, floa
     flight.moved_m = float(np.linalg.norm(track[:, 1:] - x0, axis=1).max())
     flight.backwards_m = float(x0[0] - track[:, 1].min())
     steps = track[:: max(round(len(track) / max(track[-1, 0] - track[0, 0], 1.0)), 1)]  # a second apart
-    flight.fastest_m_s = float((np.diff(steps[:, 1]) / np.diff(steps[:, 0])).max(initial=0.0))
+    way = 3 if case.climbs else 1
+    flight.fastest_m_s = float((np.diff(steps[:, way]) / np.diff(steps[:, 0])).max(initial=0.0))
     flight.hit = bool(flight.closest_m < HULL_M)
 
 
@@ -420,8 +446,9 @@ def main() -> None:
                 if not wanted or (name, mode, speed_m_s, chosen.do, chosen.options, chosen.set) in done:
                     continue
                 flight = Flight(name, mode, speed_m_s, CASES[name].floor, chosen.do, chosen.options, chosen.set)
-                flown(chosen.binary.resolve(), flight, chosen.do, chosen.push)
+                lines = flown(chosen.binary.resolve(), flight, chosen.do, chosen.push)
                 flights.append(flight)
+                (chosen.to / f"ullage{len(flights)}.log").write_text(lines)
                 rows.write_text(json.dumps([asdict(one) for one in flights], indent=1))
                 (chosen.to / "flights.md").write_text(table(flights))
                 print(table([flight]).splitlines()[2], flush=True)

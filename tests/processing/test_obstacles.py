@@ -25,9 +25,14 @@ def motion(speed_m_s: float) -> Motion:
     return Motion(speed_m_s * AHEAD, AHEAD, math.radians(47.5))
 
 
-def feed(tracker: RangeTracker, row: int, range_m: list[float], speed_m_s: float = 0.0) -> list[Track]:
+def feed(
+    tracker: RangeTracker, row: int, range_m: list[float], speed_m_s: float = 0.0, level_db: float = -math.inf
+) -> list[Track]:
     found = np.array(range_m, float)
-    return tracker.step(row * PERIOD_NS, found, np.full(len(found), 0.01), np.full(len(found), 20.0), motion(speed_m_s))
+    return tracker.step(
+        row * PERIOD_NS, found, np.full(len(found), 0.01), np.full(len(found), 20.0), motion(speed_m_s),
+        lambda _: level_db,
+    )  # fmt: skip
 
 
 def test_track_error_agrees_with_its_sigma() -> None:
@@ -100,6 +105,16 @@ def test_a_track_dies_when_its_echo_stays_away_but_not_inside_the_blind_range() 
             feed(tracker, row, [place])
         tracker.blind_m = 0.45
         assert bool([feed(tracker, row, []) for row in range(10, 30)][-1]) == alive
+
+
+@pytest.mark.parametrize(("level_db", "alive"), [(-80.0, False), (-60.0, True)])
+def test_a_track_stays_while_a_louder_echo_may_hide_it(level_db: float, alive: bool) -> None:
+    """The level in its place is that of another echo, such as the floor's while an edge comes as near as the floor."""
+    tracker = RangeTracker(TrackerSpec(coast_s=0.4, blind_s=5.0))
+    for row in range(10):
+        feed(tracker, row, [2.0])
+    tracker.tracks[0].sums.add(np.zeros(3), 0.0, 2.0, -70.0)
+    assert bool([feed(tracker, row, [], level_db=level_db) for row in range(10, 30)][-1]) == alive
 
 
 @pytest.mark.parametrize("staggered", [False, True])
@@ -178,6 +193,14 @@ def test_a_pole_as_far_as_the_floor_counts(tmp_path: Path) -> None:
     last = flown(world(tmp_path, FLOOR, POLE), (0, 0, 1.45))[-1]
     assert 0 in filled(last)
     assert not {-90, -60, 60, 90, 180} & set(filled(last))
+
+
+def test_the_direction_of_a_pole_is_where_it_is_now(tmp_path: Path) -> None:
+    """It passes 1 m to the left: its range bends, which that to a wall does not."""
+    for found in flown(world(tmp_path, POLE), (-0.4, -1, 1.5), (1, 0, 0), frames=40)[-8:]:
+        left = np.argmin(np.where(found.tracks.sensor == 1, found.tracks.distance_m, np.inf))
+        truth = math.degrees(math.atan2(0.9, 1.9 - found.t_ns * 1e-9))  # of the radar on the left side
+        assert np.degrees(found.tracks.azimuth_rad[left]) == pytest.approx(truth, abs=4)  # type: ignore[index]
 
 
 def test_a_hover_before_two_equal_walls_leaves_neither_free(tmp_path: Path) -> None:

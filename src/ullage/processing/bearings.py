@@ -5,8 +5,10 @@ One radar measures no direction. Several kinds of evidence do, and one grid of d
 - Levels. A reflector in direction u would reach radar j at the level of track i plus the difference of their two-way
   gains, and at its range plus the difference of their lever arms. A peak of radar j there is evidence for u. Noise and
   louder echoes hide what is weaker, which is evidence for nothing. A gap there is evidence against u.
-- Motion. The range to a thing at rest changes by -u . dp while its radar moves by dp. Weighted sums over the last half
-  metre hold this. A part of all things moves by itself, at an unknown speed.
+- Motion. The range r to a plane at rest changes by -u . dp while its radar moves by dp. That to a point p bends:
+  r^2 - |x|^2 + 2 p . x is the same at all places x of the radar. Weighted sums over the last half metre hold both. So
+  the direction of an edge or a pole is where it is now, not where it was on the way. A part of all things moves by
+  itself, at an unknown speed.
 - The level itself. Strong reflectors are rarer than weak ones, and none exceeds a perfect mirror. Floors and ceilings
   are frequent.
 - The height over the floor, where it is known.
@@ -68,17 +70,17 @@ _FLAT = np.column_stack([CELLS[:, :2], np.hypot(CELLS[:, 0], CELLS[:, 1])])
 
 @dataclass(slots=True)
 class PathSums:
-    """Weighted mean and covariance of a radar's place (3), the time and the range of a track."""
+    """Weighted mean and covariance of a radar's place x (3), the time, the range r of a track, and r^2 - |x|^2."""
 
-    mean: Floats = field(default_factory=lambda: np.zeros(5))
-    cov: Floats = field(default_factory=lambda: np.zeros((5, 5)))
+    mean: Floats = field(default_factory=lambda: np.zeros(6))
+    cov: Floats = field(default_factory=lambda: np.zeros((6, 6)))
     weight: float = 0.0
     level_db: float = math.nan
     _place: Floats | None = None
 
     def add(self, place: Floats, t_s: float, range_m: float, level_db: float) -> None:
         """Take one detection: place of the radar (3) [m], time [s], range [m] and level [dB]."""
-        new = np.array([*place, t_s, range_m])
+        new = np.array([*place, t_s, range_m, range_m**2 - float(place @ place)])
         moved = math.inf if self._place is None else float(np.linalg.norm(place - self._place))
         kept = 0.0 if self._place is None else self.weight * math.exp(-moved / _MEMORY_M)
         more = min(moved / _STEP_M, 1.0)
@@ -117,6 +119,7 @@ class Echoes:
     range_m: Floats  # (m) at the last profile of that radar [m]
     rate_m_s: Floats  # (m) of the range [m/s]
     sums: Sequence[PathSums]  # (m)
+    place: Floats  # (m, 3) of that radar in the world [m]
 
 
 def posterior(echoes: Echoes, views: Sequence[RadarView | None], yaw_rad: float) -> Floats:
@@ -130,7 +133,7 @@ def posterior(echoes: Echoes, views: Sequence[RadarView | None], yaw_rad: float)
     if not len(echoes.range_m):
         return np.zeros((0, len(CELLS)))
     level = np.array([one.level_db for one in echoes.sums])
-    prior, out = np.zeros((len(level), len(CELLS))), _by_motion(echoes.sums, yaw_rad)
+    prior, out = np.zeros((len(level), len(CELLS))), _by_motion(echoes, yaw_rad)
     for i, view in enumerate(views):
         mine = np.flatnonzero(np.asarray(echoes.radar) == i)
         if view is None or not len(mine):
@@ -174,22 +177,33 @@ def azimuth(chance: Floats) -> tuple[Floats, Floats]:
     )
 
 
-def _by_motion(sums: Sequence[PathSums], yaw_rad: float) -> Floats:
-    """Log likelihood (m, n) of the ranges along the path, of things at rest or with a speed of their own."""
+def _by_motion(echoes: Echoes, yaw_rad: float) -> Floats:
+    """Log likelihood (m, n) of the ranges along the path, of planes or points at rest, or things that move."""
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     unit = CELLS @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])  # in the world
-    cov = np.stack([one.cov for one in sums])
+    cov = np.stack([one.cov for one in echoes.sums])
     place, apart_t, apart_r = cov[:, :3, :3], cov[:, :3, 3], cov[:, :3, 4]
-    var = cov[:, 4, 4, None] + 2 * apart_r @ unit.T + np.einsum("na,mab,nb->mn", unit, place, unit, optimize=True)
+    along = np.einsum("na,mab,nb->mn", unit, place, unit, optimize=True)
+    var = np.maximum(cov[:, 4, 4, None] + 2 * apart_r @ unit.T + along, 0.0)
     with_t = cov[:, 3, 4, None] + apart_t @ unit.T
     noise = (_RANGE_SIGMA_M**2 + _CELL_ERROR**2 * np.trace(place, axis1=1, axis2=2))[:, None] / _INDEPENDENT
     times = cov[:, 3, 3, None]
     moving = with_t**2 / (times + noise / _SPEED_M_S**2)
     slope = -0.5 * np.log1p(_SPEED_M_S**2 * times / noise)
-    var = np.maximum(var, 0.0)
-    rest = math.log(1 - _MOVES) - 0.5 * var / noise
+    rest = np.logaddexp(-0.5 * var / noise, -0.5 * _bent(echoes, cov, unit, along) / noise)
     moves = math.log(_MOVES) - 0.5 * np.maximum(var - moving, 0.0) / noise + slope
-    return np.asarray(np.logaddexp(rest, moves))
+    return np.asarray(np.logaddexp(math.log((1 - _MOVES) / 2) + rest, moves))
+
+
+def _bent(echoes: Echoes, cov: Floats, unit: Floats, along: Floats) -> Floats:
+    """Variance (m, n) of the ranges about those to a point at rest in each cell, as the radar is placed now [m^2]."""
+    here, range_m = echoes.place[:, :, None], echoes.range_m[:, None]
+    turned = cov[:, :3, :3] @ here
+    apart = (cov[:, :3, 5, None] + 2 * turned)[..., 0]
+    level = cov[:, 5, 5, None] + (4 * cov[:, 5, None, :3] @ here + 4 * here.transpose(0, 2, 1) @ turned)[..., 0]
+    var = level + 4 * range_m * (apart @ unit.T) + 4 * range_m**2 * along
+    mean = np.array([one.mean[4] for one in echoes.sums])[:, None]
+    return np.asarray(np.maximum(var, 0.0) / np.maximum(4 * mean**2, 1e-12))
 
 
 def _by_itself(range_m: Floats, level_db: Floats, view: RadarView) -> Floats:

@@ -138,6 +138,7 @@ class _Sensor:
     range_m: tuple[float, float]  # first and last bin
     correlation: Complexes  # of the noise between bins
     body_from_sensor: Floats  # (4, 4)
+    place: Floats = field(default_factory=lambda: np.zeros(3))  # in the world at the last frame [m]
     profile: _Profile | None = None  # of the last frame
     fresh_ns: int | None = None
     confirmed: list[Track] = field(default_factory=list)
@@ -250,7 +251,8 @@ class ObstacleStage:
         range_m = column(lambda track: track.range_m)
         at_frame = [{track.number: track.range_m for track in s.confirmed} for s in parts]
         echoes = Echoes(radar.tolist(), np.array([at_frame[k][track.number] for k, track in rows]),
-                        column(lambda track: track.rate_m_s), [track.sums for _, track in rows])  # fmt: skip
+                        column(lambda track: track.rate_m_s), [track.sums for _, track in rows],
+                        np.array([parts[k].place for k in radar]).reshape(-1, 3))  # fmt: skip
         yaw = math.atan2(self._attitude[1, 0], self._attitude[0, 0])
         turn = transform(rpy_rad=(0.0, 0.0, -yaw))[:3, :3] @ self._attitude
         views = [self._view(s, turn) if valid[k] else None for k, s in enumerate(parts)]
@@ -319,9 +321,12 @@ class ObstacleStage:
         t_ns = int(frames.t_ns[row])
         motion = _motion(frames, row, sensor)
         snr = np.nan_to_num(hits.snr_db[which], nan=60.0, posinf=60.0)
-        sensor.confirmed = sensor.tracker.step(t_ns, hits.range_m[which], _sigma_m(frames, snr), snr, motion)
+        sensor.confirmed = sensor.tracker.step(
+            t_ns, hits.range_m[which], _sigma_m(frames, snr), snr, motion,
+            lambda range_m: float(np.interp(range_m, profile.range_m, profile.level_db)),
+        )  # fmt: skip
         sensor.fresh_ns, sensor.profile = t_ns, profile
-        place = self._placed(sensor, frames, row)
+        place = sensor.place = self._placed(sensor, frames, row)
         for track in sensor.tracker.tracks:
             if track.seen_ns == t_ns:
                 nearest = int(np.argmin(np.abs(profile.peak_m - track.measured_m)))

@@ -11,15 +11,15 @@ import pytest
 pytest.importorskip("pymavlink")
 
 import fly_autopilot
-from fly_autopilot import AHEAD_M, CASES, Flight, measure, table
+from fly_autopilot import AHEAD_M, CASES, CEILING_M, Flight, measure, table
 
 START = (0.0, 0.0, 1.5)
 
 
-def straight(to_m: float) -> object:
-    """Times and places of a level flight along +x, a tenth of a second apart."""
-    x = np.linspace(0, to_m, 200)
-    return np.stack([0.1 * np.arange(200), x, 0 * x, 0 * x + 1.5], axis=1)
+def straight(to_m: float, *, climbs: bool = False) -> object:
+    """Times and places of a straight flight along +x, or up, a tenth of a second apart."""
+    way = np.linspace(0, to_m, 200)
+    return np.stack([0.1 * np.arange(200), 0 * way if climbs else way, 0 * way, 1.5 + way * climbs], axis=1)
 
 
 def test_without_a_binary_it_flies_nothing_and_says_so(
@@ -36,12 +36,13 @@ def test_a_flight_through_the_obstacle_is_a_hit_and_one_that_stops_is_none(name:
     if CASES[name].passes or CASES[name].speeds_m_s == (0.0,):
         return
     through, before = Flight(name, "guided", 1.0), Flight(name, "guided", 1.0)
-    measure(through, CASES[name], straight(AHEAD_M + 3), START)
-    measure(before, CASES[name], straight(AHEAD_M - 2), START)
+    climbs, at_m = CASES[name].climbs, CEILING_M - 1.5 if CASES[name].climbs else AHEAD_M
+    measure(through, CASES[name], straight(at_m + 3, climbs=climbs), START)
+    measure(before, CASES[name], straight(at_m - 2, climbs=climbs), START)
     assert through.hit
     assert not before.hit
     assert before.closest_m == pytest.approx(2.0, abs=1.1)  # a slanted wall and a corner are nearer beside the path
-    assert through.fastest_m_s == pytest.approx((AHEAD_M + 3) / 19.9, rel=0.02)
+    assert through.fastest_m_s == pytest.approx((at_m + 3) / 19.9, rel=0.02)
     assert "| hit |" in table([through, before])
 
 
