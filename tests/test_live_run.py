@@ -75,6 +75,8 @@ class Map:
 class Kept:
     """A sink that keeps all."""
 
+    takes_obstacles = False
+
     def __init__(self) -> None:
         self.items: list[Any] = []
 
@@ -114,6 +116,21 @@ def test_obstacles_state_and_recording_go_out_while_the_map_is_busy() -> None:
     assert not threading.active_count() > 1 or all(
         not thread.name.startswith("ullage") for thread in threading.enumerate()
     )
+
+
+def test_a_sink_that_takes_obstacles_gets_them_before_a_busy_map_though_no_stage_finds_them() -> None:
+    taker, other, stage, port = Kept(), Kept(), Map(), Port()
+    taker.takes_obstacles = True
+
+    def check() -> None:
+        until(lambda: len(taker.obstacles) == N)
+        assert not stage.seen
+        stage.gate.set()
+
+    port.before[N] = check
+    ul.run(port, stages=[stage], sinks=[taker, other])
+    assert taker.obstacles == port.frames.t_ns.tolist()
+    assert not other.obstacles
 
 
 def test_a_map_that_cannot_keep_up_is_that_of_now_and_the_recording_has_all() -> None:

@@ -346,13 +346,9 @@ def warm_up(
     from ullage.experiments.source_resolution import simulated_scenario
     from ullage.experiments.warmup import compiled, parts_of
     from ullage.ports.live import Address
-    from ullage.radar.warmup import radar_parts
 
-    address = Address.of(source)
-    if address and address.scheme.startswith("gazebo"):
-        bounces = str(address.options.get("max_bounces", 1))
-        fidelity = str(address.options.get("fidelity", "physical"))
-        compile_parts((*radar_parts(fidelity, 1 if bounces == "1" else 3), "likelihood"))
+    if Address.of(source):  # its radars compile theirs when they know the world
+        compile_parts(("obstacles", "likelihood", "backprojection"))
     elif scenario := simulated_scenario(source, tasks=tasks, options=options):
         more = () if rival is None else parts_of(rival)
         if not compiled((*parts_of(scenario), *more)):  # not all that any world may need

@@ -172,7 +172,8 @@ class LiveLoop:
 
     Args:
         source: a live port.
-        stages: obstacles are found where frames are received; the others work in the main thread.
+        stages: obstacles are found where frames are received, also for sinks alone that take them; the others work in
+            the main thread.
         sinks: take frames and results; the caller closes them.
         count: of what was received.
     """
@@ -185,7 +186,11 @@ class LiveLoop:
         self.counters = Counters()
         self._backlog: Inbox[_Piece] = Inbox(self.counters, lag_s=self._lag_s, received=False)
         self._delays, self._ages = Delays(), Delays()
-        self._urgent = bool(self._first) or any(getattr(sink, "takes_obstacles", False) for sink in sinks)
+        takers = [sink for sink in sinks if getattr(sink, "takes_obstacles", False)]
+        self._obstacles_to = list(sinks) if self._first else takers
+        if takers and not self._first:
+            self._first = [ObstacleStage()]
+        self._urgent = bool(self._first)
         self._sends = any(getattr(sink, "sends", False) for sink in sinks)
         self._sink_threads = [_SinkThread(sink, self.counters, self._lag_s, self._noting(sink)) for sink in sinks]
         self.interrupted = False
@@ -277,7 +282,7 @@ class LiveLoop:
         came_s = time.monotonic()
         for stage in self._first:
             for item in stage.update(chunk):
-                self._publish(item, came_s=came_s)
+                self._publish(item, came_s=came_s, to=self._obstacles_to)
         count, size = sum(map(len, chunk.values())), sum(part.samples.nbytes for part in chunk.values())
         self._count.add(chunk)
         self._done_ns = self._done_ns if self._done_ns is not None else min(int(p.t_ns[0]) for p in chunk.values())
@@ -296,12 +301,13 @@ class LiveLoop:
             for queue in (self._backlog, *(thread.queue for thread in self._sink_threads if not thread.error))
         )
 
-    def _publish(self, item: Any, *, came_s: float = 0.0, first: bool = False) -> None:
-        """Hand an item to all sinks; obstacles and state overtake frames and maps."""
+    def _publish(self, item: Any, *, came_s: float = 0.0, first: bool = False, to: Sequence[Any] | None = None) -> None:
+        """Hand an item to these sinks, or to all; obstacles and state overtake frames and maps."""
         if came_s and not self._sends:
             self._note(item, came_s)
         for thread in self._sink_threads:
-            thread.put(item, came_s=came_s, first=first or came_s > 0)
+            if to is None or thread.sink in to:
+                thread.put(item, came_s=came_s, first=first or came_s > 0)
 
     def _noting(self, sink: Any) -> Callable[[Any, float], None]:
         return self._note if getattr(sink, "sends", False) else lambda item, came_s: None

@@ -76,6 +76,12 @@ def _surfaces(dims: Literal[2, 3]) -> None:
     mapper.map()
 
 
+def _obstacles() -> None:
+    from ullage.processing.obstacles import ObstacleStage
+
+    list(ObstacleStage().update({"radar": _few()}))
+
+
 def _image() -> None:
     from ullage.grids import Grid
     from ullage.processing.sar import focus
@@ -97,6 +103,7 @@ def _few(half_m: float = 0.1) -> Frames:
 JOBS = (
     *radar.JOBS,
     Job("elfes", _first_peaks),
+    Job("obstacles", _obstacles),
     Job("backprojection", _image),
     Job("likelihood", partial(_surfaces, 2)),
     Job("likelihood in volumes", partial(_surfaces, 3)),

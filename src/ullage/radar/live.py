@@ -12,6 +12,7 @@ from ullage.arrays import Floats, Longs
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.radar.receiving import Fidelity, Receiving
+from ullage.radar.warmup import warm_up
 from ullage.radar.worker_pool import cores
 from ullage.specs import RadarSpec, Rig
 from ullage.world.moving import between
@@ -49,6 +50,7 @@ class LiveRadars:
         limits = "above 0, at most 10000"
         if rate_hz is not None and checks.number("rate_hz", rate_hz, "LiveRadars", above=0, allowed=limits) > 10_000:
             raise InputError(f"rate_hz is {rate_hz}", where="LiveRadars", allowed=limits)
+        warm_up(fidelity, max_bounces, scene)  # a kernel that is compiled in flight makes frames late by seconds
         self._work = Receiving(scene, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed)
         self.sensors = self._work.sensors
         self._rate_hz = {name: rate_hz or spec.fps for name, spec in self.sensors.items()}

@@ -98,7 +98,7 @@ class ArduPilotBrake:
     backup_spd: float = 0.75  # AVOID_BACKUP_SPD [m/s]
     backup_dz: float = 0.1  # AVOID_BACKUP_DZ [m]
     accel_max: float = 3.0  # AVOID_ACCEL_MAX [m/s^2]
-    filt_hz: float = 0.25  # PRX_FILT
+    filt_hz: float = 0.25  # PRX_FILT; 0: none
     gain: float = 1.0  # of the position controller [1/s]
     came_s: float = -math.inf
     sector: Any = field(default_factory=lambda: np.full(8, np.nan))  # filtered [m]
@@ -115,7 +115,7 @@ class ArduPilotBrake:
             self.valid[k] = mine.any()
             if mine.any():
                 nearest, step_s = cm[mine].min() / 100, now_s - self.came_s
-                share = 1.0 if step_s > 1.0 or np.isnan(self.sector[k]) else step_s / (
+                share = 1.0 if step_s > 1.0 or np.isnan(self.sector[k]) or not self.filt_hz else step_s / (
                     step_s + 1 / (2 * math.pi * self.filt_hz))  # fmt: skip
                 self.sector[k] = nearest if share == 1.0 else self.sector[k] + share * (nearest - self.sector[k])
         self.came_s = now_s

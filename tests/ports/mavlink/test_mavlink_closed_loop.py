@@ -154,6 +154,17 @@ def test_ardupilot_in_guided_stops_about_its_margin_before_a_wall(wish_m_s: floa
     assert away[-2000:].max() < 2.4
 
 
+@pytest.mark.parametrize("wish_m_s", [1.0, 1.5])
+def test_without_its_filter_ardupilot_in_guided_stops_at_its_margin(wish_m_s: float) -> None:
+    """Flown, margin 1.5 m: 0.89 and 0.55 m with PRX_FILT 0.25 Hz, 1.52 and 1.43 m with 0."""
+    lagged, prompt = (
+        6.0 - fly_by(ArduPilotBrake(margin=1.5, filt_hz=hz), wish_m_s, 15.0, lambda x: (6.0 - x, *3 * (FREE,)))[:, 0]
+        for hz in (0.25, 0.0)
+    )
+    assert lagged.min() < 1.2
+    assert prompt.min() == pytest.approx(1.5, abs=0.3)
+
+
 def test_ardupilot_is_slow_over_a_floor_that_three_radars_report() -> None:
     """Flown: 1.5 m/s asked, never above 0.88."""
     track = fly_by(ArduPilotBrake(margin=2.0), 1.5, 20.0, lambda x: (FREE, 3.04, 3.04, 3.04))
