@@ -62,8 +62,8 @@ def bounded(one: Comparison) -> Iterator[Row]:
     )
     if one.points is not None:
         low, high = BANDS[0]
-        levels = [one.level_db(which, low, high) for which in ("recorded", "receiver")]
-        yield Row(f"{name}: level from {low:g} to {high:g} m", *levels, 4.0)
+        recorded, simulated = (one.level_db(which, low, high) for which in ("recorded", "receiver"))
+        yield Row(f"{name}: level from {low:g} to {high:g} m", recorded, simulated, 4.0)
         real, ours = one.points
         yield Row(f"{name}: focused reflector to its survey", 0.0, real["error"], 0.15, "m")
         yield Row(f"{name}: simulated reflector to its survey", 0.0, ours["error"], 0.02, "m")

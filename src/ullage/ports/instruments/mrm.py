@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from ullage.data import Unit
 from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.ports.instruments.source import InstrumentOptions, InstrumentSource, Scan, split_options
@@ -73,7 +74,7 @@ class MrmRadar:
         InputError: the address is none, or a setting is none of the radar's.
     """
 
-    unit = "normalised"
+    unit: Unit = "normalised"
 
     def __init__(self, address: str, spec: RadarSpec, options: MrmOptions) -> None:
         self.place, self._options = f"mrm:{address}", options

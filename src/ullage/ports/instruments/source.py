@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ullage.data import Frames
+from ullage.data import Frames, Unit
 from ullage.errors import InputError
 from ullage.ports.cosimulation import options_of
 from ullage.ports.instruments.clock import InstrumentClock
@@ -39,7 +39,7 @@ class Instrument(Protocol):
 
     spec: RadarSpec
     """As the instrument was set; its ranges are those it answered."""
-    unit: str
+    unit: Unit
     place: str
     """What complaints name."""
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from ullage.data import Unit
 from ullage.errors import InputError, need
 from ullage.geometry import C0
 from ullage.ports.instruments import x4_protocol as mcp
@@ -72,7 +73,7 @@ class X4Module:
         InputError: the carrier is none of the module's, or the output is not baseband.
     """
 
-    unit = "normalised"
+    unit: Unit = "normalised"
 
     def __init__(self, device: str, spec: RadarSpec, options: X4Options) -> None:
         self.place, self._device, self._options = f"x4:{device}", device, options
