@@ -25,14 +25,9 @@ def motion(speed_m_s: float) -> Motion:
     return Motion(speed_m_s * AHEAD, AHEAD, math.radians(47.5))
 
 
-def feed(
-    tracker: RangeTracker, row: int, range_m: list[float], speed_m_s: float = 0.0, level_db: float = -math.inf
-) -> list[Track]:
+def feed(tracker: RangeTracker, row: int, range_m: list[float], speed_m_s: float = 0.0) -> list[Track]:
     found = np.array(range_m, float)
-    return tracker.step(
-        row * PERIOD_NS, found, np.full(len(found), 0.01), np.full(len(found), 20.0), motion(speed_m_s),
-        lambda _: level_db,
-    )  # fmt: skip
+    return tracker.step(row * PERIOD_NS, found, np.full(len(found), 0.01), np.full(len(found), 20.0), motion(speed_m_s))
 
 
 def test_track_error_agrees_with_its_sigma() -> None:
@@ -105,16 +100,6 @@ def test_a_track_dies_when_its_echo_stays_away_but_not_inside_the_blind_range() 
             feed(tracker, row, [place])
         tracker.blind_m = 0.45
         assert bool([feed(tracker, row, []) for row in range(10, 30)][-1]) == alive
-
-
-@pytest.mark.parametrize(("level_db", "alive"), [(-80.0, False), (-60.0, True)])
-def test_a_track_stays_while_a_louder_echo_may_hide_it(level_db: float, alive: bool) -> None:
-    """The level in its place is that of another echo, such as the floor's while an edge comes as near as the floor."""
-    tracker = RangeTracker(TrackerSpec(coast_s=0.4, blind_s=5.0))
-    for row in range(10):
-        feed(tracker, row, [2.0])
-    tracker.tracks[0].sums.add(np.zeros(3), 0.0, 2.0, -70.0)
-    assert bool([feed(tracker, row, [], level_db=level_db) for row in range(10, 30)][-1]) == alive
 
 
 @pytest.mark.parametrize("staggered", [False, True])

@@ -321,10 +321,7 @@ class ObstacleStage:
         t_ns = int(frames.t_ns[row])
         motion = _motion(frames, row, sensor)
         snr = np.nan_to_num(hits.snr_db[which], nan=60.0, posinf=60.0)
-        sensor.confirmed = sensor.tracker.step(
-            t_ns, hits.range_m[which], _sigma_m(frames, snr), snr, motion,
-            lambda range_m: float(np.interp(range_m, profile.range_m, profile.level_db)),
-        )  # fmt: skip
+        sensor.confirmed = sensor.tracker.step(t_ns, hits.range_m[which], _sigma_m(frames, snr), snr, motion)
         sensor.fresh_ns, sensor.profile = t_ns, profile
         place = sensor.place = self._placed(sensor, frames, row)
         for track in sensor.tracker.tracks:

@@ -5,13 +5,12 @@ from odometry and moves the predicted closing speed. A radar without bearing doe
 that change across the boresight counts as process noise. A track is confirmed by M hits in N frames, and by a score:
 the logarithm of how much likelier its detections are from one obstacle than from unrelated echoes [Blackman1986].
 Among many echoes this keeps out tracks that jump from one echo to the next. A confirmed track ends when it has no more
-than M hits in 2 N frames. It does not end where the profile is as strong as its echo: a louder echo may hide it.
+than M hits in 2 N frames.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -36,9 +35,7 @@ class TrackerSpec(Spec):
     hits: int = Field(3, ge=1, le=20, description="M: detections that confirm a track")
     window: int = Field(5, ge=1, le=30, description="N: among so many frames")
     coast_s: float = Field(0.4, gt=0, le=10, description="a track without detections lives so long")
-    blind_s: float = Field(
-        5.0, gt=0, le=60, description="the same inside the blind range, and where a louder echo hides it"
-    )
+    blind_s: float = Field(5.0, gt=0, le=60, description="the same inside the blind range, where nothing is detected")
     most: int = Field(24, ge=1, le=200, description="tracks a sensor")
 
 
@@ -116,10 +113,7 @@ class RangeTracker:
         self._velocity = np.zeros(3)
         self._count = 0
 
-    def step(
-        self, t_ns: int, range_m: Floats, sigma_m: Floats, snr_db: Floats, motion: Motion,
-        level_db: Callable[[float], float] = lambda range_m: -math.inf,
-    ) -> list[Track]:  # fmt: skip
+    def step(self, t_ns: int, range_m: Floats, sigma_m: Floats, snr_db: Floats, motion: Motion) -> list[Track]:
         """Predict all tracks to a frame and update them with its detections.
 
         Args:
@@ -128,7 +122,6 @@ class RangeTracker:
             sigma_m: their standard deviations (d) [m].
             snr_db: their levels over noise (d) [dB].
             motion: of the sensor.
-            level_db: the level of the frame's profile at a range [dB].
 
         Returns:
             The confirmed tracks, nearest first.
@@ -139,7 +132,7 @@ class RangeTracker:
             self._predict((t_ns - self._last_ns) * 1e-9, motion)
         self._last_ns, self._velocity = t_ns, motion.velocity
         free = self._associate(t_ns, range_m, sigma_m, snr_db)
-        self._end_tracks(t_ns, level_db)
+        self._end_tracks(t_ns)
         for k in free[: max(0, self.spec.most - len(self.tracks))]:
             self._begin(t_ns, float(range_m[k]), float(sigma_m[k]), float(snr_db[k]), motion)
         self.tracks.sort(key=lambda track: track.range_m)
@@ -196,14 +189,14 @@ class RangeTracker:
         often = self._recent_hits(track) >= self.spec.hits and track.score >= math.log(self.spec.odds)
         track.confirmed = track.confirmed or often or self.spec.hits == 1
 
-    def _end_tracks(self, t_ns: int, level_db: Callable[[float], float]) -> None:
+    def _end_tracks(self, t_ns: int) -> None:
         kept = []
         for track in self.tracks:
             missed_s = (t_ns - track.seen_ns) * 1e-9
             if track.confirmed:
                 # an obstacle may touch the hull unseen: its range stays at zero, not below
                 track.range_m = max(track.range_m, 0.0)
-                hidden = track.range_m < self.blind_m or level_db(track.range_m) >= track.sums.level_db
+                hidden = track.range_m < self.blind_m
                 seldom = track.frames >= 2 * self.spec.window and self._hits(track.history) <= self.spec.hits
                 alive = missed_s <= (self.spec.blind_s if hidden else 0.0 if seldom else self.spec.coast_s)
             else:
