@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -27,6 +28,8 @@ from ullage.world.scene import Scene
 
 Progress = Callable[[float], None]
 Receive = Callable[[dict[str, Frames]], Mapping[str, Frames]]
+Believe = Callable[[Trajectory, Mapping[str, Frames]], Trajectory]
+"""Believed pose of a step from its true one, of which a simulated IMU is made, and from its frames without poses."""
 
 _ARRIVED_M = 0.12
 _PULL_S, _ACCELERATION_M_S2 = 1.0, 0.8  # towards the straight line between waypoints [1/s]; before the last one
@@ -43,6 +46,11 @@ class WaypointFollower:
     def __init__(self, points: Floats, speed_m_s: float) -> None:
         self._points, self._speed, self._next = points, speed_m_s, min(1, len(points) - 1)
         self.arrived = False
+
+    @property
+    def ahead(self) -> Floats:
+        """Waypoints that are left (n, 3 or 4)."""
+        return self._points[self._next :]
 
     @property
     def heading_rad(self) -> float:
@@ -74,6 +82,17 @@ class WaypointFollower:
         return np.asarray(speed * line + aside * min(1.0, 0.5 * self._speed / max(size, 1e-9)))
 
 
+class Pilot(Protocol):
+    """Decides where to fly."""
+
+    @property
+    def heading_rad(self) -> float:
+        """Heading wanted now [rad]."""
+
+    def velocity(self, position: Floats) -> Floats:
+        """Velocity (3) wanted at a believed position (3) [m/s]."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """One step of the loop, after the guard has decided."""
@@ -82,6 +101,16 @@ class Step:
     sectors: ObstacleSectors
     wanted: Floats  # (3) world [m/s]
     limit: Limit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flown:
+    """All of one step: poses of one moment, the frames received there, and the guard's decision."""
+
+    truth: Trajectory
+    believed: Trajectory
+    frames: dict[str, Frames]
+    step: Step
 
 
 @dataclass(slots=True, eq=False)
@@ -138,6 +167,7 @@ class Loop:
         receive: what reaches the stage of the frames, to try faults of sensors; None: all.
         stage: gives the obstacle distances.
         guarded: False: the guard watches but limits nothing, for comparison.
+        poses: gives the believed poses; None: the scenario's navigation.
     """
 
     scenario: Scenario
@@ -147,7 +177,8 @@ class Loop:
     receive: Receive | None = None
     stage: ObstacleStage | None = None
     guarded: bool = True
-    _pool: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(cores()))
+    poses: Believe | None = None
+    contacts: tuple[tuple[float, str, float], ...] = ()  # of the latest flight: time [s], object, speed [m/s]
 
     def fly(self, points: Floats, *, progress: Progress | None = None) -> GuardedFlight:
         """Fly until the last waypoint is reached and hovered at, or the guard has stopped the flight for good.
@@ -160,61 +191,75 @@ class Loop:
             InputError: the start is in or too near to something, there is one waypoint only, or a frame takes longer
                 than the guard's latency.
         """
-        plan, guard_spec = self.scenario.flight, self.scenario.flight.guard
-        check_clear(points[0], plan.vehicle, self.scene)
+        plan, give_up_s = self.scenario.flight, self.scenario.flight.guard.give_up_s
         if len(points) < 2:
             raise InputError("one waypoint", where="flight.waypoints", allowed="two or more with flight.guard.on")
+        longest_s = _longest_s(points, plan.speed_m_s) + plan.hover_s + give_up_s
+        follower = WaypointFollower(points, plan.speed_m_s)
+        truths, beliefs, frames, steps, moved_s, arrived_s = [], [], [], [], 0.0, math.inf
+        for row, now in enumerate(self.steps(follower, _start(points), longest_s=longest_s)):
+            truths.append(now.truth)
+            beliefs.append(now.believed)
+            frames.append(now.frames)
+            steps.append(now.step)
+            now_s = now.step.t_ns * 1e-9
+            moved_s = now_s if now.step.limit.state in ("free", "limited") or not self.guarded else moved_s
+            arrived_s = min(arrived_s, now_s) if follower.arrived else math.inf
+            if now_s - moved_s > give_up_s or now_s - arrived_s > plan.hover_s:
+                break
+            if progress is not None and row % 20 == 0:
+                progress(row / (longest_s * self.rate_hz))
+        flown, thought = strung(truths), strung(beliefs)
+        if flown is None or thought is None:  # narrows the type; every pose is known
+            raise ValueError("no poses")
+        return GuardedFlight(flown, thought, frames, steps, self.contacts, follower.arrived)
+
+    def steps(self, pilot: Pilot, start: Floats, *, longest_s: float) -> Iterator[Flown]:
+        """Fly step by step: the pilot's velocity, limited by the guard, holds until the next step.
+
+        Args:
+            pilot: asked at each step.
+            start: x, y, z [m], yaw [deg].
+            longest_s: the flight ends after so long [s].
+
+        Raises:
+            InputError: the start is in or too near to something, or a frame takes longer than the guard's latency.
+        """
+        plan, guard_spec = self.scenario.flight, self.scenario.flight.guard
+        check_clear(start, plan.vehicle, self.scene)
         if 1 / self.rate_hz > guard_spec.latency_s:
             what = f"{self.rate_hz:g} frames a second and a latency of {guard_spec.latency_s:g} s"
             least = f">= one frame, {1 / self.rate_hz:.3g} s"
             raise InputError(what, where="flight.guard.latency_s", allowed=least)
-        longest_s = _longest_s(points, plan.speed_m_s) + plan.hover_s + guard_spec.give_up_s
-        vehicle = Steered(plan.vehicle, scene=self.scene, start=_start(points), wind_m_s=plan.wind_m_s,
+        vehicle = Steered(plan.vehicle, scene=self.scene, start=start, wind_m_s=plan.wind_m_s,
                           gust_m_s=plan.gust_m_s, seed=self.scenario.seed, moving_s=longest_s)  # fmt: skip
         sensing = self.scenario.sensing
         work = Receiving(self.scene, self.rig, fidelity=sensing.fidelity, max_bounces=sensing.max_bounces,
                          seed=self.scenario.seed)  # fmt: skip
         stage = self.stage or ObstacleStage(work.sensors, stale_s=guard_spec.stale_s)
         guard = Guard(guard_spec, hull_m=airframe(plan.vehicle).radius_m)
-        follower = WaypointFollower(points, plan.speed_m_s)
-        out = GuardedFlight(_pose(vehicle), _pose(vehicle), [], [], (), False)
-        truths, beliefs, moved_s, arrived_s = [], [], 0.0, math.inf
-        for row in range(round(longest_s * self.rate_hz)):
-            vehicle.advance(round(row * 1e9 / self.rate_hz))
-            truth = _pose(vehicle)
-            believed = self._believed(truth)
-            chunk = self._received(work, truth, believed, row)
-            sectors = self._sectors(stage, chunk, int(truth.t_ns[0]))
-            wanted = follower.velocity(believed.position[0])
-            limit = guard.limit(wanted, sectors, believed)
-            vehicle.ask(_wish(limit.velocity if self.guarded else wanted, follower.heading_rad, believed))
-            truths.append(truth)
-            beliefs.append(believed)
-            out.frames.append(chunk)
-            out.steps.append(Step(int(truth.t_ns[0]), sectors, wanted, limit))
-            now_s = float(truth.t_ns[0]) * 1e-9
-            moved_s = now_s if limit.state in ("free", "limited") or not self.guarded else moved_s
-            arrived_s = min(arrived_s, now_s) if follower.arrived else math.inf
-            if now_s - moved_s > guard_spec.give_up_s or now_s - arrived_s > plan.hover_s:
-                break
-            if progress is not None and row % 20 == 0:
-                progress(row / (longest_s * self.rate_hz))
-        self._pool.shutdown()
-        touched = tuple(
-            (step * 0.004, self.scene.objects[owner].name, speed) for step, owner, speed in vehicle.contacts
-        )
-        flown, thought = strung(truths), strung(beliefs)
-        if flown is None or thought is None:  # narrows the type; every pose is known
-            raise ValueError("no poses")
-        return replace(out, flown=flown, believed=thought, contacts=touched, arrived=follower.arrived)
+        with ThreadPoolExecutor(cores()) as pool:
+            for row in range(round(longest_s * self.rate_hz)):
+                vehicle.advance(round(row * 1e9 / self.rate_hz))
+                self.contacts = tuple(
+                    (step * 0.004, self.scene.objects[owner].name, speed) for step, owner, speed in vehicle.contacts
+                )
+                truth = _pose(vehicle)
+                jobs = {name: pool.submit(work.samples, name, truth, first_frame=row) for name in work.sensors}
+                samples = {name: job.result() for name, job in jobs.items()}
+                believed = self._believed(truth, {name: work.frames(name, one, truth) for name, one in samples.items()})
+                chunk = {name: work.frames(name, one, truth, believed=believed) for name, one in samples.items()}
+                sectors = self._sectors(stage, chunk, int(truth.t_ns[0]))
+                wanted = pilot.velocity(believed.position[0])
+                limit = guard.limit(wanted, sectors, believed)
+                vehicle.ask(_wish(limit.velocity if self.guarded else wanted, pilot.heading_rad, believed))
+                yield Flown(truth, believed, chunk, Step(int(truth.t_ns[0]), sectors, wanted, limit))
 
-    def _believed(self, truth: Trajectory) -> Trajectory:
+    def _believed(self, truth: Trajectory, frames: dict[str, Frames]) -> Trajectory:
         nav = self.scenario.navigation
+        if self.poses is not None:
+            return self.poses(truth, {k: replace(f, poses=None, truth=None, simulated=None) for k, f in frames.items()})
         return navigate(truth, noise_m=nav.noise_m, drift_m=nav.drift_m, yaw_deg=nav.yaw_deg, seed=self.scenario.seed)
-
-    def _received(self, work: Receiving, truth: Trajectory, believed: Trajectory, row: int) -> dict[str, Frames]:
-        jobs = {name: self._pool.submit(work.samples, name, truth, first_frame=row) for name in work.sensors}
-        return {name: work.frames(name, job.result(), truth, believed=believed) for name, job in jobs.items()}
 
     def _sectors(self, stage: ObstacleStage, chunk: dict[str, Frames], t_ns: int) -> ObstacleSectors:
         """Return the obstacles after these frames; the stage never gets the truth."""

@@ -247,7 +247,7 @@ def _route(space: Space, length_m: float | None) -> Floats:
     kept = [legs[0]]
     for leg in legs[1:]:
         whole = np.concatenate([kept[-1][-1:], leg])
-        kept.append(whole[_straight(cells[whole], space.cells)[1:]])
+        kept.append(whole[straightened(cells[whole], space.cells)[1:]])
     return _cut(points[np.concatenate(kept)], length_m)
 
 
@@ -259,19 +259,19 @@ def _cut(points: Floats, length_m: float) -> Floats:
     return np.concatenate([points[along < end - 1e-6], last[None]])
 
 
-def _straight(cells: Longs, free: Bools) -> list[int]:
+def straightened(cells: Longs, free: Bools) -> list[int]:
     """Return indices of the cells (n, 2) of a path to keep, so that each segment between them crosses free cells."""
     kept = [0]
     while kept[-1] < len(cells) - 1:
         here = kept[-1]
         reach = here + 1
-        while reach + 1 < len(cells) and _clear(cells[here], cells[reach + 1], free):
+        while reach + 1 < len(cells) and clear(cells[here], cells[reach + 1], free):
             reach += 1
         kept.append(reach)
     return kept
 
 
-def _clear(a: Longs, b: Longs, free: Bools) -> bool:
+def clear(a: Longs, b: Longs, free: Bools) -> bool:
     """Return whether the straight line between two cells crosses free cells only."""
     n = 2 * int(np.abs(b - a).max()) + 1
     on = np.rint(np.linspace(a, b, n)).astype(int)

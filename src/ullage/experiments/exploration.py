@@ -1,0 +1,297 @@
+"""A vehicle that explores a world by its radars: the loop of vehicle, radars and guard, the mapper, and a view planner.
+
+The planner gets poses, the map and the guard's distances, never the world. The box of the world bounds the map, as the
+fence that a person draws around a flight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ullage import checks
+from ullage.arrays import Floats
+from ullage.config import Scenario
+from ullage.data import Frames, Trajectory, gathered, strung
+from ullage.errors import InputError
+from ullage.experiments.guarded_flight import Loop, WaypointFollower
+from ullage.flight.airframe import airframe
+from ullage.flight.explore import RESERVE_S, Leg, Situation, ViewPlanner, direction
+from ullage.geometry import quat_matrix
+from ullage.grids import OccupancyMap
+from ullage.processing.obstacles import ObstacleSectors
+from ullage.specs import Rig
+from ullage.world.scene import Scene
+
+PIECE_S = 0.5
+"""Between two maps, and so between two decisions."""
+PROBE_M = 0.8  # of a careful flight into space that only the guard knows, to give the map an aperture
+STUCK_S, STUCK_M = 5.0, 0.15  # a vehicle that moved less in so long does not get on
+BARRED_M = 0.4  # about a place before which the guard stopped, and how far ahead of the vehicle that lies
+LOOK_M = 0.3  # between views that count
+CRUMB_M = 0.2  # between places of the track that lead back
+REPLAN_S = 2.0  # between comparisons of the goal with other views
+HOVER_S = 1.0  # at home
+LATE_S = 20.0  # a guard that stops the flight home may delay it by so long
+
+
+class Room(NamedTuple):
+    """Distances of the guard."""
+
+    way_rad: Floats  # (k) direction of each radar, counter-clockwise from east
+    free_m: Floats  # (k) to the nearest obstacle there, 0 where unknown [m]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decision:
+    """Where the explorer flew next."""
+
+    t_s: float
+    leg: Leg
+    position: Floats  # (3) at that time [m]
+
+
+class Explorer:
+    """Pilot of an exploring flight.
+
+    Args:
+        start: x, y, z [m], yaw [deg].
+        time_s: of the flight, with the way home.
+        speed_m_s: of the flight.
+        clearance_m: from the vehicle's centre to what is not known to be free.
+    """
+
+    def __init__(self, start: Floats, *, time_s: float, speed_m_s: float, clearance_m: float) -> None:
+        self._start, self._speed, self.time_s, self._clearance_m = start, speed_m_s, time_s, clearance_m
+        self.decisions: list[Decision] = []
+        self.ended = ""  # why the flight ended, once it has
+        self.at_home = False
+        self.upcoming: Leg | None = None  # where it would fly next with more time
+        self.why_home = ""
+        self._planner: ViewPlanner | None = None
+        self._omap: OccupancyMap | None = None  # a new one
+        self._leg: Leg | None = None
+        self._track = [start[:2]]
+        self._looked = np.full(2, np.inf)
+        self._moved = 0.0, start[:2]  # when and where it last got on
+        self._planned_s, self._home_s = 0.0, math.inf  # of the last comparison of views; when it got home
+        self._probed: list[float] = []  # directions from here [rad]
+        self._follower = WaypointFollower(np.array([start, start]), speed_m_s)
+
+    @property
+    def heading_rad(self) -> float:
+        """Heading wanted now [rad]."""
+        return self._follower.heading_rad
+
+    @property
+    def words(self) -> str:
+        """What it is doing."""
+        return "looking around" if self._leg is None else self._leg.words
+
+    def velocity(self, position: Floats) -> Floats:
+        """Velocity (3) wanted at a believed position (3) [m/s]."""
+        return self._follower.velocity(position)
+
+    def take_map(self, omap: OccupancyMap) -> None:
+        """Take the map so far."""
+        self._omap = omap
+
+    def update(self, believed: Trajectory, sectors: ObstacleSectors) -> None:
+        """Take the pose of this moment and the guard's distances; decide where a decision is due."""
+        here, now_s = believed.position[0], float(believed.t_ns[0]) * 1e-9
+        if np.linalg.norm(here[:2] - self._track[-1]) >= CRUMB_M:
+            self._track.append(here[:2])
+        if np.linalg.norm(here[:2] - self._moved[1]) >= STUCK_M:
+            self._moved = now_s, here[:2]
+        if self._planner is not None:
+            self._planner.flew(here)
+        if now_s > self.time_s + LATE_S:
+            self._end(here, "the guard kept it from getting home")
+        omap, self._omap = self._omap, None
+        if omap is None or self.ended:
+            return
+        if self._planner is None:
+            self._planner = ViewPlanner(omap.grid, self._start, clearance_m=self._clearance_m, speed_m_s=self._speed)
+        if self._follower.arrived or not np.linalg.norm(here[:2] - self._looked) < LOOK_M:
+            self._planner.saw(omap, here)
+            self._looked = here[:2]
+        forward = quat_matrix(believed.quat_xyzw[0])[:, 0]
+        ways = sectors.centre_rad + math.atan2(forward[1], forward[0])
+        room_m = np.where(sectors.valid, np.minimum(sectors.distance_m, sectors.reach_m), 0.0)
+        self._decide(self._planner, self._planner.at(omap, here), here, now_s, Room(ways, room_m))
+
+    def _decide(self, planner: ViewPlanner, now: Situation, here: Floats, now_s: float, room: Room) -> None:
+        leg, done, stuck = self._leg, self._follower.arrived, now_s - self._moved[0] > STUCK_S
+        if leg is not None and stuck and not done:
+            self._bar(planner, leg, here)
+            now = planner.at(now.omap, here)
+        if leg is not None and leg.kind == "home":
+            self._go_on_home(planner, now, here, now_s, again=stuck)
+            return
+        home, left_s = self._way_home(planner, now), self.time_s - now_s
+        if left_s <= home.travel_s + RESERVE_S:
+            self._turn_home(home, planner.next_view(now, math.inf), here, now_s, why="the time was up")
+            return
+        free = leg is None or done or stuck
+        if leg is not None and not free and (leg.kind == "probe" or not self._due(planner, now, now_s)):
+            return
+        view = planner.next_view(now, left_s, kept=None if free else leg)
+        if view is not None:
+            self._probed.clear()
+            self._planned_s = now_s
+            if free or leg is None or not np.allclose(view.goal, leg.goal) or not planner.is_open(now, self._ahead()):
+                self._fly(view, here, now_s)
+        elif now.narrow and (probe := self._probe(here, room)) is not None:
+            self._fly(probe, here, now_s)
+        else:
+            upcoming = planner.next_view(now, math.inf)
+            why = "nothing is left that is worth a flight"
+            if upcoming is not None:
+                why = f"the views left are too far away for the {left_s:.0f} s left"
+            elif now.narrow:
+                why = "boxed in: neither map nor guard knows room to fly"
+            self._turn_home(home, upcoming, here, now_s, why=why)
+
+    def _due(self, planner: ViewPlanner, now: Situation, now_s: float) -> bool:
+        """Whether the goal is to be reconsidered: every two seconds, and as soon as the path there is closed."""
+        return now_s - self._planned_s >= REPLAN_S or not planner.is_open(now, self._ahead())
+
+    def _ahead(self) -> Floats:
+        """Return the rest (n, 2) of the path that is flown [m]."""
+        return self._follower.ahead[:, :2]
+
+    def _bar(self, planner: ViewPlanner, leg: Leg, here: Floats) -> None:
+        """Avoid the place before which the guard stopped, and the goal behind it."""
+        course = self._follower.heading_rad
+        planner.bar(here[:2] + 2 * BARRED_M * np.array([math.cos(course), math.sin(course)]), BARRED_M)
+        if leg.kind == "view":
+            planner.bar(leg.goal, BARRED_M)
+
+    def _way_home(self, planner: ViewPlanner, now: Situation) -> Leg:
+        """Return the way home on the map, or else back along the track."""
+        if (leg := planner.home(now)) is not None:
+            return leg
+        back = np.array([now.place, *self._track[::-1]])
+        length_m = np.linalg.norm(np.diff(back, axis=0), axis=1).sum()
+        return Leg("home", back, "home along the track", travel_s=float(planner.time_s(length_m)))
+
+    def _turn_home(self, home: Leg, upcoming: Leg | None, here: Floats, now_s: float, *, why: str) -> None:
+        self.why_home, self.upcoming = why, upcoming
+        self._fly(home, here, now_s)
+
+    def _go_on_home(self, planner: ViewPlanner, now: Situation, here: Floats, now_s: float, *, again: bool) -> None:
+        if self._follower.arrived:
+            self._home_s = min(self._home_s, now_s)
+            if now_s - self._home_s >= HOVER_S:
+                self.at_home = True
+                self._end(here, self.why_home)
+        elif again or not planner.is_open(now, self._ahead()):
+            self._fly(self._way_home(planner, now), here, now_s)
+
+    def _probe(self, here: Floats, room: Room) -> Leg | None:
+        """Return a short flight where the guard measures the most room; None: it knows none, or all were tried."""
+        tried = np.cos(room.way_rad[:, None] - np.array(self._probed)).max(1, initial=-1.0) > 0.9
+        spare = np.where(tried, 0.0, room.free_m - self._clearance_m)
+        best = int(np.argmax(spare))
+        if spare[best] <= 0:
+            return None
+        course, length_m = float(room.way_rad[best]), min(PROBE_M, float(spare[best]))
+        self._probed.append(course)
+        way = length_m * np.array([math.cos(course), math.sin(course)])
+        return Leg("probe", np.array([here[:2], here[:2] + way]), f"a careful {direction(way)} for a first look")
+
+    def _fly(self, leg: Leg, here: Floats, now_s: float) -> None:
+        if self._leg is None or leg.kind != self._leg.kind or not np.allclose(leg.goal, self._leg.goal):
+            self._moved = now_s, here[:2]
+            self.decisions.append(Decision(now_s, leg, here))
+        self._leg = leg
+        path = np.vstack([here[:2], leg.path[1:] if len(leg.path) > 1 else leg.path])
+        courses = np.diff(path, axis=0)
+        known = np.linalg.norm(courses, axis=1) > 1e-6
+        yaw = np.where(known, np.degrees(np.arctan2(courses[:, 1], courses[:, 0])), math.degrees(self.heading_rad))
+        height_m = np.full(len(path), self._start[2])
+        self._follower = WaypointFollower(np.column_stack([path, height_m, np.append(yaw[:1], yaw)]), self._speed)
+
+    def _end(self, here: Floats, why: str) -> None:
+        away = direction(self._start[:2] - here[:2])
+        self.ended = f"home: {why}" if self.at_home else f"{why}; home is {away}"
+
+
+class Exploration:
+    """A flight that explores, as a source of frames; as a sink it takes the maps that its pilot decides by.
+
+    Args:
+        loop: vehicle, radars and guard.
+        start: x, y, z [m], yaw [deg].
+        time_s: of the flight, with the way home.
+        report_progress: called with what the vehicle is doing, in words.
+    """
+
+    def __init__(
+        self, loop: Loop, start: Floats, *, time_s: float, report_progress: Callable[[str], None] | None = None
+    ) -> None:
+        plan = loop.scenario.flight
+        self.loop, self.start, self.report_progress = loop, start, report_progress
+        clearance_m = airframe(plan.vehicle).radius_m + plan.guard.margin_m
+        self.pilot = Explorer(start, time_s=time_s, speed_m_s=plan.speed_m_s, clearance_m=clearance_m)
+        self.maps = MapFeed(self.pilot)
+        self._flown: list[Trajectory] = []
+        self._believed: list[Trajectory] = []
+        self.states: list[str] = []  # of the guard
+
+    def stream(self) -> Iterator[dict[str, Frames]]:
+        """Give the frames of each radar, piece by piece, until the flight has ended."""
+        held: list[dict[str, Frames]] = []
+        most = max(round(PIECE_S * self.loop.rate_hz), 1)
+        for now in self.loop.steps(self.pilot, self.start, longest_s=self.pilot.time_s + 2 * LATE_S):
+            self._flown.append(now.truth)
+            self._believed.append(now.believed)
+            self.states.append(now.step.limit.state)
+            held.append(now.frames)
+            self.pilot.update(now.believed, now.step.sectors)
+            if len(held) == most or self.pilot.ended:
+                yield gathered(held)
+                held = []
+                if self.report_progress is not None:
+                    self.report_progress(f"{self.maps.words}; {self.pilot.words}")
+            if self.pilot.ended:
+                return
+
+    @property
+    def flown(self) -> Trajectory:
+        """True path of the body so far."""
+        return _strung(self._flown)
+
+    @property
+    def believed(self) -> Trajectory:
+        """The same as navigation has it."""
+        return _strung(self._believed)
+
+
+@dataclass(slots=True)
+class MapFeed:
+    """Sink that hands each new map to the pilot."""
+
+    pilot: Explorer
+    words: str = "no map yet"
+
+    def write(self, item: Any) -> None:
+        """Take a map; everything else passes by."""
+        if isinstance(item, OccupancyMap):
+            self.pilot.take_map(item)
+            area = item.grid.step_m**2
+            self.words = f"{item.free.sum() * area:.0f} m2 free, {item.occupied.sum() * item.grid.step_m:.0f} m of surface"
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def _strung(parts: list[Trajectory]) -> Trajectory:
+    whole = strung(parts)
+    if whole is None:
+        raise InputError("the flight has not begun", where="explore")
+    return whole

@@ -1,0 +1,250 @@
+"""Choose the next view on the map of a plane: the one that could teach most for its time, by space known to be free.
+
+Frontiers of free space draw the vehicle [Yamauchi1997]. A view is worth the unknown and ambiguous cells that its rays
+would enter, over the time to get there, as in next-best-view planners [BircherEtAl2016] [DangEtAl2020]. Radars see a
+smooth surface only along its normal, so a cell that a view did not teach may need another direction. Each view
+therefore counts in its direction alone, and what n of them left unknown is learned by the next one with a chance of
+1 / (1 + n), by the rule of succession.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse.csgraph import dijkstra
+
+from ullage.arrays import Bools, Floats, Ints, Longs
+from ullage.errors import InputError
+from ullage.flight.random_flights import lattice_graph
+from ullage.flight.tour import clear, straightened
+from ullage.grids import Grid, OccupancyMap
+
+RAYS, SECTORS = 72, 12
+"""Directions of the rays of a view, and of those in which views are counted."""
+COMPASS = ("east", "northeast", "north", "northwest", "west", "southwest", "south", "southeast")
+REACH_M = 4.0  # a view teaches nothing farther away, and cells on the way in proportion less
+DEPTH_M = 0.7  # mean depth that is learned of unknown space
+AT_ONCE = 256  # views that are compared at once
+STRIDE_M = 0.4  # between places that are compared
+LEAST_GAIN_M2 = 0.25  # a view that teaches less is not worth a flight
+APERTURE_M = 0.5  # of track that a view needs at least
+STOP_S = 2.0  # of every flight to a view: start, turn and stop
+SLACK = 1.3  # flown time over that of the straight segments
+RESERVE_S = 4.0  # left at home
+KEEP = 1.5  # a goal is kept until another one is better by as much
+
+Kind = Literal["view", "probe", "home"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Leg:
+    """Where to fly now, and why."""
+
+    kind: Kind
+    path: Floats  # (n, 2) from here on [m]
+    words: str
+    gain_m2: float = 0.0  # expected area that the view at its end teaches
+    travel_s: float = 0.0
+    home_s: float = 0.0  # from its end
+
+    @property
+    def goal(self) -> Floats:
+        """Its end (2) [m]."""
+        return np.asarray(self.path[-1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Situation:
+    """What a vehicle can reach."""
+
+    omap: OccupancyMap
+    place: Floats  # (2) of the vehicle [m]
+    open: Bools  # (ny, nx) cells that a path may cross
+    cells: Longs  # (n, 2) those cells
+    away_m: Floats  # (2, n) shortest way to each from the vehicle and from home, inf where there is none [m]
+    before: Ints  # (n) cell before each on the way from the vehicle, below zero where there is none
+    home: int  # cell of home
+    narrow: bool  # it can go nowhere but where it flew
+
+
+class ViewPlanner:
+    """What the views so far have left unknown, and the next view by it.
+
+    Args:
+        grid: a plane.
+        home: x, y [m].
+        clearance_m: least distance from the vehicle's centre to all that is not known to be free [m].
+        speed_m_s: of the flight [m/s].
+
+    Raises:
+        InputError: home is off the grid, or a number is not above zero.
+    """
+
+    def __init__(self, grid: Grid, home: Floats, *, clearance_m: float, speed_m_s: float) -> None:
+        for name, value in (("clearance_m", clearance_m), ("speed_m_s", speed_m_s)):
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(f"{name} is {value}", where="ViewPlanner", allowed="> 0")
+        self.grid, self.clearance_m, self.speed_m_s = grid, clearance_m, speed_m_s
+        self._flown = np.zeros(grid.shape, bool)
+        self._barred = np.zeros(grid.shape, bool)
+        self._views = np.zeros((SECTORS, grid.size), np.float32)  # in each direction, weighted by what they could teach
+        self._home = self._cell(home)
+        self._rays = _Rays.of(grid.step_m)
+        self._flown[self._home] = True
+
+    def _cell(self, place: Floats) -> tuple[int, int]:
+        cell, inside = self.grid.index(np.asarray(place, float)[None, :2])
+        if not inside[0]:
+            raise InputError(f"({place[0]:.2f}, {place[1]:.2f}) m is off the map", where="explore",
+                             allowed="a place on the grid")  # fmt: skip
+        return int(cell[0, 0]), int(cell[0, 1])
+
+    def flew(self, place: Floats) -> None:
+        """Note that the vehicle was here: this cell is free, and a way back."""
+        self._flown[self._cell(place)] = True
+
+    def bar(self, place: Floats, radius_m: float) -> None:
+        """Plan no more through places about one where the guard stopped, but for those flown through."""
+        x, y = np.meshgrid(self.grid.x_m - place[0], self.grid.y_m - place[1])
+        self._barred |= np.hypot(x, y) <= radius_m
+
+    def saw(self, omap: OccupancyMap, place: Floats) -> None:
+        """Count a view from here: what it leaves unknown is less likely to be learned from that direction again."""
+        cells, worth = self._rays.cast(_classes(omap), np.array([self._cell(place)]))
+        np.add.at(self._views, (np.broadcast_to(self._rays.sector[:, None], cells[0].shape), cells[0]), worth[0])
+
+    def at(self, omap: OccupancyMap, place: Floats) -> Situation:
+        """Return what the vehicle can reach from here by this map: space free with the asked clearance, or flown."""
+        free = omap.free | self._flown
+        room_m = (distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] - 0.5) * self.grid.step_m
+        open_ = (room_m >= self.clearance_m) & ~self._barred | self._flown
+        here = self._cell(place)
+        open_[here] = True
+        number = np.full(open_.shape, -1)
+        number[open_] = np.arange(int(open_.sum()))
+        ends = [int(number[here]), int(number[self._home])]
+        away, before = dijkstra(lattice_graph(open_), directed=False, indices=ends, return_predecessors=True)
+        narrow = not bool((np.isfinite(away[0]) & ~self._flown[open_]).any())
+        return Situation(omap, np.asarray(place, float)[:2], open_, np.argwhere(open_), away * self.grid.step_m, before[0],
+                         ends[1], narrow)  # fmt: skip
+
+    def time_s(self, length_m: ArrayLike) -> Floats:
+        """Time that paths take [s]."""
+        return np.asarray(SLACK * np.asarray(length_m, float) / self.speed_m_s + STOP_S)
+
+    def is_open(self, now: Situation, path: Floats) -> bool:
+        """Whether a path (n, 2) crosses open cells only [m]."""
+        cells, _ = self.grid.index(path)
+        return all(clear(a, b, now.open) for a, b in pairwise(cells))
+
+    def home(self, now: Situation) -> Leg | None:
+        """Return the way home, or None if it is barred."""
+        length_m = float(now.away_m[0, now.home])
+        if not math.isfinite(length_m):
+            return None
+        return Leg("home", self._path(now, now.home), "home", travel_s=float(self.time_s(length_m)))
+
+    def next_view(self, now: Situation, left_s: float, *, kept: Leg | None = None) -> Leg | None:
+        """Return the best view whose path there and then home fits the time left; None: none is worth it.
+
+        Args:
+            now: the map, the place of the vehicle and what it can reach.
+            left_s: time left [s].
+            kept: the goal at present, which is kept while it is nearly as good as the best.
+        """
+        stride = max(round(STRIDE_M / self.grid.step_m), 1)
+        wanted = (now.cells % stride == 0).all(1)
+        same = np.zeros(len(wanted), bool) if kept is None else (now.cells == self._cell(kept.goal)).all(1)
+        travel_s, home_s = self.time_s(now.away_m)
+        wanted &= now.away_m[0] >= APERTURE_M
+        rows = np.flatnonzero((wanted | same) & (travel_s + home_s + RESERVE_S <= left_s))
+        if not len(rows):
+            return None
+        gain, ambiguous = self._gains(now.omap, now.cells[rows])
+        rate = np.where(gain >= LEAST_GAIN_M2, gain / travel_s[rows], 0.0) * np.where(same[rows], KEEP, 1.0)
+        best = int(np.argmax(rate))
+        if rate[best] <= 0:
+            return None
+        row = int(rows[best])
+        path = self._path(now, row)
+        what = "an ambiguous echo" if ambiguous[best] > 0.5 * gain[best] else "the frontier"
+        words = f"to {what} {direction(path[-1] - now.place)}"
+        return Leg("view", path, words, float(gain[best]), float(travel_s[row]), float(home_s[row]))
+
+    def _gains(self, omap: OccupancyMap, cells: Longs) -> tuple[Floats, Floats]:
+        """Area that views from cells (n, 2) could teach, and the part of it that is ambiguous now [m2]."""
+        classes = _classes(omap)
+        gain, ambiguous = np.zeros((2, len(cells)))
+        for part in np.array_split(np.arange(len(cells)), -(-len(cells) // AT_ONCE)):
+            seen, worth = self._rays.cast(classes, cells[part])
+            area = worth * self._rays.area_m2 / (1.0 + self._views[self._rays.sector[:, None], seen])
+            gain[part] = area.sum((1, 2))
+            ambiguous[part] = np.where(classes.ravel()[seen] == _AMBIGUOUS, area, 0.0).sum((1, 2))
+        return gain, ambiguous
+
+    def _path(self, now: Situation, node: int) -> Floats:
+        nodes = [node]
+        while now.before[nodes[-1]] >= 0:
+            nodes.append(int(now.before[nodes[-1]]))
+        cells = now.cells[nodes[::-1]]
+        cells = cells[straightened(cells, now.open)]
+        return np.column_stack([self.grid.x_m[cells[:, 1]], self.grid.y_m[cells[:, 0]]])
+
+
+_FREE, _SOLID, _UNKNOWN, _AMBIGUOUS = range(4)
+
+
+def _classes(omap: OccupancyMap) -> Ints:
+    """Class of each cell (ny, nx)."""
+    out = np.full(omap.grid.shape, _FREE, np.int32)
+    out[omap.unknown] = _UNKNOWN
+    out[omap.ambiguous] = _AMBIGUOUS
+    out[omap.occupied] = _SOLID
+    return out
+
+
+class _Rays(NamedTuple):
+    """The rays of a view, sampled once a cell."""
+
+    offset: Longs  # (rays, steps, 2) cells
+    sector: Longs  # (rays)
+    area_m2: Floats  # (rays, steps) that a sample stands for
+    near: Floats  # (rays, steps) share learned at this range
+    step_m: float
+
+    @classmethod
+    def of(cls, step_m: float) -> _Rays:
+        angle = (np.arange(RAYS) + 0.5) * math.tau / RAYS
+        range_m = step_m * np.arange(1, max(round(REACH_M / step_m), 1) + 1)
+        unit = np.stack([np.sin(angle), np.cos(angle)], 1)
+        offset = np.rint(unit[:, None] * range_m[None, :, None] / step_m).astype(np.int64)
+        area = np.broadcast_to(range_m * step_m * math.tau / RAYS, offset.shape[:2])
+        near = np.broadcast_to(1.0 - range_m / (REACH_M + step_m), offset.shape[:2])
+        return cls(offset, np.arange(RAYS) * SECTORS // RAYS, area, near, step_m)
+
+    def cast(self, classes: Ints, cells: Longs) -> tuple[Longs, Floats]:
+        """Cast the rays of views from cells (n, 2).
+
+        Returns:
+            Flat index of each sample's cell (n, rays, steps), and the chance that the view teaches it.
+        """
+        place = cells[:, None, None] + self.offset[None]
+        inside = ((place >= 0) & (place < np.array(classes.shape))).all(-1)
+        flat = np.where(inside, place[..., 0] * classes.shape[1] + place[..., 1], 0)
+        kind = np.where(inside, classes.ravel()[flat], _SOLID)
+        dark = kind >= _UNKNOWN
+        lit = np.cumsum(kind == _SOLID, axis=2) == 0
+        depth_m = np.cumsum(dark, axis=2) * self.step_m
+        return flat, np.where(lit & dark, np.exp(-depth_m / DEPTH_M) * self.near, 0.0)
+
+
+def direction(way: Floats) -> str:
+    """Return a level displacement (2 or 3) in words: 4 m north."""
+    turn = round(math.atan2(float(way[1]), float(way[0])) / (math.tau / 8)) % 8
+    return f"{math.hypot(float(way[0]), float(way[1])):.0f} m {COMPASS[turn]}"
