@@ -30,9 +30,12 @@ from ullage.world.scene import Scene
 PIECE_S = 0.5
 """Between two maps, and so between two decisions."""
 PROBE_M = 0.8  # of a careful flight into space that only the guard knows, to give the map an aperture
-STUCK_S, STUCK_M = 5.0, 0.15  # a vehicle that moved less in so long does not get on
+LISTEN_S = 1.0  # at the start, until the guard has its first distances
+STUCK_S, STUCK_M, STUCK_RAD = 3.0, 0.15, 0.3  # a vehicle that moved and turned less in so long does not get on
+MOST_PROBES = 16
 BARRED_M = 0.4  # about a place before which the guard stopped, and how far ahead of the vehicle that lies
 LOOK_M = 0.3  # between views that count
+TURN_DEG = 90.0  # on the spot, after a careful flight: four beams leave a quarter of the circle out
 CRUMB_M = 0.2  # between places of the track that lead back
 REPLAN_S = 2.0  # between comparisons of the goal with other views
 HOVER_S = 1.0  # at home
@@ -66,7 +69,7 @@ class Explorer:
     """
 
     def __init__(self, start: Floats, *, time_s: float, speed_m_s: float, clearance_m: float) -> None:
-        self._start, self._speed, self.time_s, self._clearance_m = start, speed_m_s, time_s, clearance_m
+        self._start, self._speed, self.time_s, self.clearance_m = start, speed_m_s, time_s, clearance_m
         self.decisions: list[Decision] = []
         self.ended = ""  # why the flight ended, once it has
         self.at_home = False
@@ -77,9 +80,9 @@ class Explorer:
         self._leg: Leg | None = None
         self._track = [start[:2]]
         self._looked = np.full(2, np.inf)
-        self._moved = 0.0, start[:2]  # when and where it last got on
+        self._moved = 0.0, start[:2], 0.0  # when it last got on, where, and at which heading
         self._planned_s, self._home_s = 0.0, math.inf  # of the last comparison of views; when it got home
-        self._probed: list[float] = []  # directions from here [rad]
+        self._probed: list[Floats] = []  # x, y [m] and direction [rad] of each probe
         self._follower = WaypointFollower(np.array([start, start]), speed_m_s)
 
     @property
@@ -103,29 +106,31 @@ class Explorer:
     def update(self, believed: Trajectory, sectors: ObstacleSectors) -> None:
         """Take the pose of this moment and the guard's distances; decide where a decision is due."""
         here, now_s = believed.position[0], float(believed.t_ns[0]) * 1e-9
+        forward = quat_matrix(believed.quat_xyzw[0])[:, 0]
+        yaw = math.atan2(forward[1], forward[0])
         if np.linalg.norm(here[:2] - self._track[-1]) >= CRUMB_M:
             self._track.append(here[:2])
-        if np.linalg.norm(here[:2] - self._moved[1]) >= STUCK_M:
-            self._moved = now_s, here[:2]
+        since = here[:2] - self._moved[1]
+        if np.linalg.norm(since) >= STUCK_M or abs(math.remainder(yaw - self._moved[2], math.tau)) >= STUCK_RAD:
+            self._moved = now_s, here[:2], yaw
         if self._planner is not None:
             self._planner.flew(here)
         if now_s > self.time_s + LATE_S:
             self._end(here, "the guard kept it from getting home")
         omap, self._omap = self._omap, None
-        if omap is None or self.ended:
+        if omap is None or self.ended or now_s < LISTEN_S:
             return
         if self._planner is None:
-            self._planner = ViewPlanner(omap.grid, self._start, clearance_m=self._clearance_m, speed_m_s=self._speed)
+            self._planner = ViewPlanner(omap.grid, self._start, clearance_m=self.clearance_m, speed_m_s=self._speed)
         if self._follower.arrived or not np.linalg.norm(here[:2] - self._looked) < LOOK_M:
             self._planner.saw(omap, here)
             self._looked = here[:2]
-        forward = quat_matrix(believed.quat_xyzw[0])[:, 0]
-        ways = sectors.centre_rad + math.atan2(forward[1], forward[0])
+        ways = sectors.centre_rad + yaw
         room_m = np.where(sectors.valid, np.minimum(sectors.distance_m, sectors.reach_m), 0.0)
-        self._decide(self._planner, self._planner.at(omap, here), here, now_s, Room(ways, room_m))
+        self._decide(self._planner, self._planner.at(omap, here), here, now_s, yaw, Room(ways, room_m))
 
-    def _decide(self, planner: ViewPlanner, now: Situation, here: Floats, now_s: float, room: Room) -> None:
-        leg, done, stuck = self._leg, self._follower.arrived, now_s - self._moved[0] > STUCK_S
+    def _decide(self, planner: ViewPlanner, now: Situation, here: Floats, now_s: float, yaw: float, room: Room) -> None:
+        leg, done, stuck = self._leg, self._done(yaw), now_s - self._moved[0] > STUCK_S
         if leg is not None and stuck and not done:
             self._bar(planner, leg, here)
             now = planner.at(now.omap, here)
@@ -137,14 +142,15 @@ class Explorer:
             self._turn_home(home, planner.next_view(now, math.inf), here, now_s, why="the time was up")
             return
         free = leg is None or done or stuck
-        if leg is not None and not free and (leg.kind == "probe" or not self._due(planner, now, now_s)):
+        if leg is not None and not free and (leg.kind in ("probe", "turn") or not self._due(planner, now, now_s)):
             return
         view = planner.next_view(now, left_s, kept=None if free else leg)
         if view is not None:
-            self._probed.clear()
             self._planned_s = now_s
             if free or leg is None or not np.allclose(view.goal, leg.goal) or not planner.is_open(now, self._ahead()):
                 self._fly(view, here, now_s)
+        elif now.narrow and leg is not None and leg.kind == "probe" and not stuck:
+            self._fly(Leg("turn", here[None, :2], "turning to look between the beams"), here, now_s)
         elif now.narrow and (probe := self._probe(here, room)) is not None:
             self._fly(probe, here, now_s)
         else:
@@ -155,6 +161,11 @@ class Explorer:
             elif now.narrow:
                 why = "boxed in: neither map nor guard knows room to fly"
             self._turn_home(home, upcoming, here, now_s, why=why)
+
+    def _done(self, yaw: float) -> bool:
+        """Whether the vehicle is where it was to fly, and turned as far as it was to turn."""
+        turned = abs(math.remainder(yaw - self._follower.heading_rad, math.tau)) < STUCK_RAD
+        return self._follower.arrived and (turned or self._leg is None or self._leg.kind != "turn")
 
     def _due(self, planner: ViewPlanner, now: Situation, now_s: float) -> bool:
         """Whether the goal is to be reconsidered: every two seconds, and as soon as the path there is closed."""
@@ -194,25 +205,27 @@ class Explorer:
 
     def _probe(self, here: Floats, room: Room) -> Leg | None:
         """Return a short flight where the guard measures the most room; None: it knows none, or all were tried."""
-        tried = np.cos(room.way_rad[:, None] - np.array(self._probed)).max(1, initial=-1.0) > 0.9
-        spare = np.where(tried, 0.0, room.free_m - self._clearance_m)
+        done = np.array([row[2] for row in self._probed if np.linalg.norm(row[:2] - here[:2]) < PROBE_M / 2])
+        tried = np.cos(room.way_rad[:, None] - done).max(1, initial=-1.0) > 0.9
+        spare = np.where(tried, 0.0, room.free_m - self.clearance_m)
         best = int(np.argmax(spare))
-        if spare[best] <= 0:
+        if spare[best] <= 0 or len(self._probed) >= MOST_PROBES:
             return None
         course, length_m = float(room.way_rad[best]), min(PROBE_M, float(spare[best]))
-        self._probed.append(course)
+        self._probed.append(np.array([*here[:2], course]))
         way = length_m * np.array([math.cos(course), math.sin(course)])
         return Leg("probe", np.array([here[:2], here[:2] + way]), f"a careful {direction(way)} for a first look")
 
     def _fly(self, leg: Leg, here: Floats, now_s: float) -> None:
         if self._leg is None or leg.kind != self._leg.kind or not np.allclose(leg.goal, self._leg.goal):
-            self._moved = now_s, here[:2]
+            self._moved = now_s, here[:2], self._moved[2]
             self.decisions.append(Decision(now_s, leg, here))
         self._leg = leg
         path = np.vstack([here[:2], leg.path[1:] if len(leg.path) > 1 else leg.path])
         courses = np.diff(path, axis=0)
         known = np.linalg.norm(courses, axis=1) > 1e-6
-        yaw = np.where(known, np.degrees(np.arctan2(courses[:, 1], courses[:, 0])), math.degrees(self.heading_rad))
+        still = math.degrees(self.heading_rad) + (TURN_DEG if leg.kind == "turn" else 0.0)
+        yaw = np.where(known, np.degrees(np.arctan2(courses[:, 1], courses[:, 0])), still)
         height_m = np.full(len(path), self._start[2])
         self._follower = WaypointFollower(np.column_stack([path, height_m, np.append(yaw[:1], yaw)]), self._speed)
 
@@ -260,6 +273,19 @@ class Exploration:
                     self.report_progress(f"{self.maps.words}; {self.pilot.words}")
             if self.pilot.ended:
                 return
+
+    @property
+    def clearance_m(self) -> float:
+        """Least distance of planned paths from the vehicle's centre to what is not known to be free [m]."""
+        return self.pilot.clearance_m
+
+    def summary(self) -> str:
+        """Return how the flight ended and where it would go on, in one sentence."""
+        ended, onward = self.pilot.ended or "ended by hand", self.pilot.upcoming
+        if onward is None:
+            return f"The flight ended {ended}."
+        x, y = onward.goal
+        return f"The flight ended {ended}. Next it would fly to ({x:.1f}, {y:.1f}) m, to learn {onward.gain_m2:.1f} m2."
 
     @property
     def flown(self) -> Trajectory:

@@ -28,9 +28,10 @@ from ullage.grids import Grid, OccupancyMap
 RAYS, SECTORS = 72, 12
 """Directions of the rays of a view, and of those in which views are counted."""
 COMPASS = ("east", "northeast", "north", "northwest", "west", "southwest", "south", "southeast")
-REACH_M = 4.0  # a view teaches nothing farther away, and cells on the way in proportion less
+REACH_M = 6.0  # a view teaches nothing farther away, and cells on the way in proportion less
 DEPTH_M = 0.7  # mean depth that is learned of unknown space
 AT_ONCE = 256  # views that are compared at once
+SHORTLIST, VIEWS_M = 24, 1.0  # the best single views, whose paths are compared by views in such steps
 STRIDE_M = 0.4  # between places that are compared
 LEAST_GAIN_M2 = 0.25  # a view that teaches less is not worth a flight
 APERTURE_M = 0.5  # of track that a view needs at least
@@ -39,7 +40,7 @@ SLACK = 1.3  # flown time over that of the straight segments
 RESERVE_S = 4.0  # left at home
 KEEP = 1.5  # a goal is kept until another one is better by as much
 
-Kind = Literal["view", "probe", "home"]
+Kind = Literal["view", "probe", "turn", "home"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +131,8 @@ class ViewPlanner:
         number[open_] = np.arange(int(open_.sum()))
         ends = [int(number[here]), int(number[self._home])]
         away, before = dijkstra(lattice_graph(open_), directed=False, indices=ends, return_predecessors=True)
-        narrow = not bool((np.isfinite(away[0]) & ~self._flown[open_]).any())
+        far = np.isfinite(away[0]) & (away[0] * self.grid.step_m >= APERTURE_M)
+        narrow = not bool((far & ~self._flown[open_]).any())
         return Situation(omap, np.asarray(place, float)[:2], open_, np.argwhere(open_), away * self.grid.step_m, before[0],
                          ends[1], narrow)  # fmt: skip
 
@@ -166,27 +168,42 @@ class ViewPlanner:
         rows = np.flatnonzero((wanted | same) & (travel_s + home_s + RESERVE_S <= left_s))
         if not len(rows):
             return None
-        gain, ambiguous = self._gains(now.omap, now.cells[rows])
+        classes = _classes(now.omap)
+        first = self._single(classes, now.cells[rows]) / travel_s[rows]
+        rows = rows[(np.argsort(-first, kind="stable")[:SHORTLIST])]
+        if same.any() and np.isfinite(travel_s[same][0]):
+            rows = np.union1d(rows, np.flatnonzero(same))
+        paths = [self._path(now, int(row)) for row in rows]
+        gain = np.array([self._along(classes, path) for path in paths])
         rate = np.where(gain >= LEAST_GAIN_M2, gain / travel_s[rows], 0.0) * np.where(same[rows], KEEP, 1.0)
         best = int(np.argmax(rate))
         if rate[best] <= 0:
             return None
-        row = int(rows[best])
-        path = self._path(now, row)
-        what = "an ambiguous echo" if ambiguous[best] > 0.5 * gain[best] else "the frontier"
-        words = f"to {what} {direction(path[-1] - now.place)}"
-        return Leg("view", path, words, float(gain[best]), float(travel_s[row]), float(home_s[row]))
+        words = f"to the frontier {direction(paths[best][-1] - now.place)}"
+        times = float(travel_s[rows[best]]), float(home_s[rows[best]])
+        return Leg("view", paths[best], words, float(gain[best]), *times)
 
-    def _gains(self, omap: OccupancyMap, cells: Longs) -> tuple[Floats, Floats]:
-        """Area that views from cells (n, 2) could teach, and the part of it that is ambiguous now [m2]."""
-        classes = _classes(omap)
-        gain, ambiguous = np.zeros((2, len(cells)))
+    def _single(self, classes: Ints, cells: Longs) -> Floats:
+        """Area that single views from cells (n, 2) could teach [m2]."""
+        gain = np.zeros(len(cells))
         for part in np.array_split(np.arange(len(cells)), -(-len(cells) // AT_ONCE)):
             seen, worth = self._rays.cast(classes, cells[part])
-            area = worth * self._rays.area_m2 / (1.0 + self._views[self._rays.sector[:, None], seen])
-            gain[part] = area.sum((1, 2))
-            ambiguous[part] = np.where(classes.ravel()[seen] == _AMBIGUOUS, area, 0.0).sum((1, 2))
-        return gain, ambiguous
+            gain[part] = (self._new(seen, worth) * self._rays.area_m2).sum((1, 2))
+        return gain
+
+    def _along(self, classes: Ints, path: Floats) -> float:
+        """Area that the views along a path could teach together [m2]."""
+        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+        at = np.linspace(0, s[-1], max(round(s[-1] / VIEWS_M), 1) + 1)[1:]
+        cells, _ = self.grid.index(np.stack([np.interp(at, s, path[:, k]) for k in range(2)], 1))
+        seen, worth = self._rays.cast(classes, cells)
+        chance = np.zeros(self.grid.size)
+        np.maximum.at(chance, seen.ravel(), self._new(seen, worth).ravel())
+        return self.grid.step_m**2 * float(chance.sum())
+
+    def _new(self, seen: Longs, worth: Floats) -> Floats:
+        """Chance that rays teach cells (n, rays, steps), with the views so far."""
+        return np.asarray(worth / (1.0 + self._views[self._rays.sector[:, None], seen]))
 
     def _path(self, now: Situation, node: int) -> Floats:
         nodes = [node]
@@ -197,14 +214,13 @@ class ViewPlanner:
         return np.column_stack([self.grid.x_m[cells[:, 1]], self.grid.y_m[cells[:, 0]]])
 
 
-_FREE, _SOLID, _UNKNOWN, _AMBIGUOUS = range(4)
+_FREE, _SOLID, _DARK = range(3)
 
 
 def _classes(omap: OccupancyMap) -> Ints:
     """Class of each cell (ny, nx)."""
     out = np.full(omap.grid.shape, _FREE, np.int32)
-    out[omap.unknown] = _UNKNOWN
-    out[omap.ambiguous] = _AMBIGUOUS
+    out[omap.unknown | omap.ambiguous] = _DARK
     out[omap.occupied] = _SOLID
     return out
 
@@ -238,7 +254,7 @@ class _Rays(NamedTuple):
         inside = ((place >= 0) & (place < np.array(classes.shape))).all(-1)
         flat = np.where(inside, place[..., 0] * classes.shape[1] + place[..., 1], 0)
         kind = np.where(inside, classes.ravel()[flat], _SOLID)
-        dark = kind >= _UNKNOWN
+        dark = kind == _DARK
         lit = np.cumsum(kind == _SOLID, axis=2) == 0
         depth_m = np.cumsum(dark, axis=2) * self.step_m
         return flat, np.where(lit & dark, np.exp(-depth_m / DEPTH_M) * self.near, 0.0)

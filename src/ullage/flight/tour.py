@@ -114,6 +114,17 @@ def _heights(scene: Scene) -> dict[float, float]:
     return {low + above: good for above, good in ABOVE_M.items()} | within
 
 
+def level_at(scene: Scene, z_m: float, *, vehicle: str = "hector") -> Level:
+    """Draw all that a vehicle at a height could touch, and measure how far each cell is from it.
+
+    Args:
+        scene: the world.
+        z_m: height of the flight [m].
+        vehicle: name of what flies, for its size.
+    """
+    return _level(scene.bounds, list(_moments(scene)), z_m, 1.0, airframe(vehicle).half_height_m)
+
+
 def _level(box: Floats, there: list[Floats], z_m: float, worth: float, half_height_m: float) -> Level:
     """Draw all that a vehicle at this height could touch, and measure how far each cell is from it."""
     from PIL import Image, ImageDraw
