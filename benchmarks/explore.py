@@ -36,7 +36,7 @@ from ullage.radar.receiving import Receiving
 from ullage.view.replay import MapHistory
 from ullage.world.library import WORLDS
 
-RATE_HZ, SPEED_M_S, STEP_M = 17.0, 0.5, 0.1
+RATE_HZ, SPEED_M_S, STEP_M = 10.0, 0.5, 0.1
 LONG = ["sensing.changes.prf_div=64", "sensing.changes.iterations=24"]  # no folds in a world longer than 9.87 m
 FIELDS = ("world", "seed", "seconds", "explored", "survey", "explored_at_50", "survey_at_50", "closest_m", "contacts",
           "survey_closest_m", "length_m", "guard_stops", "ended", "radars", "guard", "mapper", "planner", "vehicle",
@@ -113,14 +113,16 @@ def row_of(name: str, seed: int, seconds: float, clock: Clock) -> dict[str, Any]
     surface = observable_from(scene, grid.at_height(float(start[2])), rig, places)
     points = surface.points[surface.observable(1)]
     half = [omap for at, omap in history.maps() if at <= scripted.duration_s / 2][-1]
+    flown_s, far_m = flight.flown.duration_s, found["flight_length"]
     rate = {part: round(spent.get(part, 0.0) / flight.flown.duration_s, 3)
             for part in ("radars", "guard", "mapper", "planner", "vehicle", "all")}  # fmt: skip
     return {
-        "world": name, "seed": seed, "seconds": round(flight.flown.duration_s, 1), "explored": round(found["explored"], 3),
+        "world": name, "seed": seed, "seconds": round(flown_s, 1), "explored": round(found["explored"], 3),
         "survey": round(float(mapped(out.results[0], points).mean()), 3),
-        "explored_at_50": round(found["explored_at_50"], 3), "survey_at_50": round(float(mapped(half, points).mean()), 3),
+        "explored_at_50": round(found["explored_at_50"], 3),
+        "survey_at_50": round(float(mapped(half, points).mean()), 3),
         "closest_m": round(found["closest_approach"], 2), "contacts": int(found["contacts"]),
-        "survey_closest_m": round(closest_m(scene, scripted, "hector"), 2), "length_m": round(found["flight_length"], 1),
+        "survey_closest_m": round(closest_m(scene, scripted, "hector"), 2), "length_m": round(far_m, 1),
         "guard_stops": round(found["guard_stops"], 1), "ended": flight.pilot.ended, **rate,
     }  # fmt: skip
 

@@ -22,8 +22,8 @@ from reference_pages import materials_page, references_page, scenario_page
 from ullage.cli import app
 
 GROUPS = {
-    "Worlds and flights": ["load_scene", "Scene", "scenes", "worlds", "Waypoints", "fly", "fly_log", "navigate",
-                           "Trajectory"],
+    "Worlds and flights": ["load_scene", "Scene", "scenes", "worlds", "Waypoints", "fly", "fly_log", "explore",
+                           "navigate", "Trajectory"],
     "Radars": ["RadarSpec", "Rig", "MountSpec", "AntennaSpec", "NoiseSpec", "ThesisSpec", "simulate", "LiveRadars",
                "Receiver", "explain"],
     "Data": ["Frames", "Detections", "Grid", "Image", "OccupancyMap", "Metric"],

@@ -53,6 +53,7 @@ _HOMES = {
     "sink": "pipeline",
     "run": "pipeline",
     "dataset": "experiments.dataset",
+    "explore": "experiments.explore",
 }
 _MODULES = {"scenes": "world.scenes", "metrics": "processing.metrics", "worlds": "worlds", "figures": "view.figures"}
 register_drawer("ullage.view.plots")

@@ -10,6 +10,7 @@ from ullage.errors import InputError as InputError
 from ullage.errors import UllageError as UllageError
 from ullage.errors import UllageWarning as UllageWarning
 from ullage.experiments.dataset import dataset as dataset
+from ullage.experiments.explore import explore as explore
 from ullage.flight.missions import Waypoints as Waypoints
 from ullage.flight.navigation import navigate as navigate
 from ullage.flight.vehicle import fly as fly

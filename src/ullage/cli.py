@@ -328,6 +328,47 @@ def fly(
         keep_serving(job.sinks)
 
 
+@app.command()
+def explore(
+    world: Annotated[str, typer.Argument(help="World name or file, scenario name or scenario.yaml.")],
+    time_s: Annotated[float, typer.Option("--time", min=1.0, help="Flight time with the way home.", metavar="S")] = 120,
+    seed: Annotated[int | None, typer.Option("--seed", min=0, help="Of noise and gusts.")] = None,
+    height_m: Annotated[
+        float | None, typer.Option("--height", help="Of the flight; default: the first waypoint's.", metavar="M")
+    ] = None,
+    to: Annotated[
+        list[str] | None, typer.Option("--to", help="Also write there: a file or live port", metavar="SINK")
+    ] = None,
+    option: Options = None,
+    out: Out = None,
+    trust_xacro: Trust = False,
+    xacro: Xacro = None,
+) -> None:
+    """Let a drone map a world by its own decisions.
+
+    It flies where its map could learn most, by space known to be free, with the guard on, and comes home in time.
+    Ctrl-C ends the flight, and everything up to then is written.
+    """
+    world = with_arguments(world, xacro or [])
+    from ullage.experiments.exploration import prepare
+    from ullage.experiments.explore import exploring
+    from ullage.experiments.runner import execute
+    from ullage.experiments.source_resolution import flight_scenario, make_exploration, record
+    from ullage.experiments.warmup import parts_of
+    from ullage.view.progress import log, progress_bar
+
+    options = [*(option or []), *([f"seed={seed}"] if seed is not None else [])]
+    scenario = exploring(flight_scenario(world, options=options, kind="explore"), options)
+    compile_parts(parts_of(scenario))
+    flight = prepare(scenario, time_s=time_s, height_m=height_m, log=log)
+    job = make_exploration(flight, out=out, log=log, to=to or [])
+    recording = record(job)
+    with progress_bar("exploring", total=time_s, unit="s of flight") as bar:
+        flight.report_progress = bar.retitle
+        report = execute(job, sinks=[recording], progress=bar, log=bar.log)
+    _print_summary(report)
+
+
 def repair(source: str) -> bool:
     """Finish a recording that a kill left unfinished; whether there was one."""
     from ullage.ports.repair import repair_bag

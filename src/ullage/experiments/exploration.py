@@ -7,7 +7,7 @@ fence that a person draws around a flight.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -18,23 +18,28 @@ from ullage.arrays import Floats
 from ullage.config import Scenario
 from ullage.data import Frames, Trajectory, gathered, strung
 from ullage.errors import InputError
-from ullage.experiments.guarded_flight import Loop, WaypointFollower
+from ullage.experiments.guarded_flight import Believe, Loop, WaypointFollower
+from ullage.experiments.simulated import radars_and_world, waypoints_of
 from ullage.flight.airframe import airframe
 from ullage.flight.explore import RESERVE_S, Leg, Situation, ViewPlanner, direction
-from ullage.geometry import quat_matrix
+from ullage.flight.vehicle import check_clear
+from ullage.geometry import quat_matrix, rpy_quat
 from ullage.grids import OccupancyMap
+from ullage.pipeline import LOGGER
 from ullage.processing.obstacles import ObstacleSectors
 from ullage.specs import Rig
 from ullage.world.scene import Scene
 
 PIECE_S = 0.5
 """Between two maps, and so between two decisions."""
-PROBE_M = 0.8  # of a careful flight into space that only the guard knows, to give the map an aperture
+PROBE_M = 1.6  # of a careful flight into space that only the guard knows, to give the map an aperture
 LISTEN_S = 1.0  # at the start, until the guard has its first distances
 STUCK_S, STUCK_M, STUCK_RAD = 3.0, 0.15, 0.3  # a vehicle that moved and turned less in so long does not get on
 MOST_PROBES = 16
 BARRED_M = 0.4  # about a place before which the guard stopped, and how far ahead of the vehicle that lies
 LOOK_M = 0.3  # between views that count
+TURNED_RAD = 0.05
+ASIDE_M = 0.5  # from a place where the guard stopped the flight
 TURN_DEG = 90.0  # on the spot, after a careful flight: four beams leave a quarter of the circle out
 CRUMB_M = 0.2  # between places of the track that lead back
 REPLAN_S = 2.0  # between comparisons of the goal with other views
@@ -126,16 +131,22 @@ class Explorer:
             self._planner.saw(omap, here)
             self._looked = here[:2]
         ways = sectors.centre_rad + yaw
-        room_m = np.where(sectors.valid, np.minimum(sectors.distance_m, sectors.reach_m), 0.0)
+        # no echo at all may be an obstacle that a hovering radar takes for its own echo
+        room_m = np.where(np.isinf(sectors.distance_m), self.clearance_m + PROBE_M, sectors.distance_m)
+        room_m = np.where(sectors.valid, room_m, 0.0)
         self._decide(self._planner, self._planner.at(omap, here), here, now_s, yaw, Room(ways, room_m))
 
     def _decide(self, planner: ViewPlanner, now: Situation, here: Floats, now_s: float, yaw: float, room: Room) -> None:
-        leg, done, stuck = self._leg, self._done(yaw), now_s - self._moved[0] > STUCK_S
-        if leg is not None and stuck and not done:
+        leg, done = self._leg, self._done(yaw)
+        stuck = now_s - self._moved[0] > (STUCK_S / 2 if leg is not None and leg.kind == "probe" else STUCK_S)
+        if leg is not None and stuck and not done and leg.kind not in ("aside", "probe"):
             self._bar(planner, leg, here)
-            now = planner.at(now.omap, here)
-        if leg is not None and leg.kind == "home":
-            self._go_on_home(planner, now, here, now_s, again=stuck)
+            self._fly(self._aside(here, room), here, now_s)
+            return
+        if leg is not None and leg.kind == "aside" and not (done or stuck):
+            return
+        if self.why_home:
+            self._go_on_home(planner, now, here, now_s)
             return
         home, left_s = self._way_home(planner, now), self.time_s - now_s
         if left_s <= home.travel_s + RESERVE_S:
@@ -151,7 +162,7 @@ class Explorer:
                 self._fly(view, here, now_s)
         elif now.narrow and leg is not None and leg.kind == "probe" and not stuck:
             self._fly(Leg("turn", here[None, :2], "turning to look between the beams"), here, now_s)
-        elif now.narrow and (probe := self._probe(here, room)) is not None:
+        elif now.narrow and (probe := self._probe(planner, now, here, room)) is not None:
             self._fly(probe, here, now_s)
         else:
             upcoming = planner.next_view(now, math.inf)
@@ -164,7 +175,7 @@ class Explorer:
 
     def _done(self, yaw: float) -> bool:
         """Whether the vehicle is where it was to fly, and turned as far as it was to turn."""
-        turned = abs(math.remainder(yaw - self._follower.heading_rad, math.tau)) < STUCK_RAD
+        turned = abs(math.remainder(yaw - self._follower.heading_rad, math.tau)) < TURNED_RAD
         return self._follower.arrived and (turned or self._leg is None or self._leg.kind != "turn")
 
     def _due(self, planner: ViewPlanner, now: Situation, now_s: float) -> bool:
@@ -194,26 +205,35 @@ class Explorer:
         self.why_home, self.upcoming = why, upcoming
         self._fly(home, here, now_s)
 
-    def _go_on_home(self, planner: ViewPlanner, now: Situation, here: Floats, now_s: float, *, again: bool) -> None:
-        if self._follower.arrived:
+    def _aside(self, here: Floats, room: Room) -> Leg:
+        """Return a short flight away from what the guard stopped for."""
+        course = float(room.way_rad[np.argmax(room.free_m)])
+        way = ASIDE_M * np.array([math.cos(course), math.sin(course)])
+        return Leg("aside", np.array([here[:2], here[:2] + way]), "stopped by the guard, and moving aside")
+
+    def _go_on_home(self, planner: ViewPlanner, now: Situation, here: Floats, now_s: float) -> None:
+        homing = self._leg is not None and self._leg.kind == "home"
+        if homing and self._follower.arrived:
             self._home_s = min(self._home_s, now_s)
             if now_s - self._home_s >= HOVER_S:
                 self.at_home = True
                 self._end(here, self.why_home)
-        elif again or not planner.is_open(now, self._ahead()):
+        elif not homing or not planner.is_open(now, self._ahead()):
             self._fly(self._way_home(planner, now), here, now_s)
 
-    def _probe(self, here: Floats, room: Room) -> Leg | None:
+    def _probe(self, planner: ViewPlanner, now: Situation, here: Floats, room: Room) -> Leg | None:
         """Return a short flight where the guard measures the most room; None: it knows none, or all were tried."""
-        done = np.array([row[2] for row in self._probed if np.linalg.norm(row[:2] - here[:2]) < PROBE_M / 2])
+        done = np.array([row[2] for row in self._probed if np.linalg.norm(row[:2] - here[:2]) < PROBE_M / 4])
         tried = np.cos(room.way_rad[:, None] - done).max(1, initial=-1.0) > 0.9
         spare = np.where(tried, 0.0, room.free_m - self.clearance_m)
-        best = int(np.argmax(spare))
+        ahead = np.cos(room.way_rad - self.heading_rad)  # a hovering radar tells no directions; ahead needs no turn
+        worth = spare + ahead + planner.free_m(now, room.way_rad)
+        best = int(np.argmax(np.where(spare > 0, worth, -np.inf)))
         if spare[best] <= 0 or len(self._probed) >= MOST_PROBES:
             return None
-        course, length_m = float(room.way_rad[best]), min(PROBE_M, float(spare[best]))
+        course = float(room.way_rad[best])
         self._probed.append(np.array([*here[:2], course]))
-        way = length_m * np.array([math.cos(course), math.sin(course)])
+        way = PROBE_M * np.array([math.cos(course), math.sin(course)])
         return Leg("probe", np.array([here[:2], here[:2] + way]), f"a careful {direction(way)} for a first look")
 
     def _fly(self, leg: Leg, here: Floats, now_s: float) -> None:
@@ -230,8 +250,8 @@ class Explorer:
         self._follower = WaypointFollower(np.column_stack([path, height_m, np.append(yaw[:1], yaw)]), self._speed)
 
     def _end(self, here: Floats, why: str) -> None:
-        away = direction(self._start[:2] - here[:2])
-        self.ended = f"home: {why}" if self.at_home else f"{why}; home is {away}"
+        place = "at home" if self.at_home else f"{direction(here[:2] - self._start[:2])} of home"
+        self.ended = f"{place}: {why}"
 
 
 class Exploration:
@@ -275,13 +295,19 @@ class Exploration:
                 return
 
     @property
+    def first(self) -> Trajectory:
+        """Its start, as a path of one pose."""
+        quat = rpy_quat(0.0, 0.0, np.radians(self.start[3:]))
+        return Trajectory(np.zeros(1, np.int64), self.start[None, :3], quat)
+
+    @property
     def clearance_m(self) -> float:
         """Least distance of planned paths from the vehicle's centre to what is not known to be free [m]."""
         return self.pilot.clearance_m
 
     def summary(self) -> str:
         """Return how the flight ended and where it would go on, in one sentence."""
-        ended, onward = self.pilot.ended or "ended by hand", self.pilot.upcoming
+        ended, onward = self.pilot.ended or "by hand", self.pilot.upcoming
         if onward is None:
             return f"The flight ended {ended}."
         x, y = onward.goal
@@ -298,6 +324,51 @@ class Exploration:
         return _strung(self._believed)
 
 
+def prepare(
+    scenario: Scenario, *, time_s: float, height_m: float | None = None, scene: Scene | None = None,
+    poses: Believe | None = None, report_progress: Callable[[str], None] | None = None,
+    log: Callable[[str], None] = LOGGER.info,
+) -> Exploration:  # fmt: skip
+    """Get an exploring flight ready in the world of a scenario, from its first waypoint on.
+
+    Args:
+        scenario: world, radars, vehicle, guard and speed.
+        time_s: of the flight, with the way home [s].
+        height_m: of the flight, over the world's zero [m]; None: that of the first waypoint.
+        scene: its world, if it is loaded already.
+        poses: gives the believed poses; None: the scenario's navigation, which is exact by default.
+        report_progress: called with what the vehicle is doing, in words.
+        log: called with a change of the radars.
+
+    Raises:
+        InputError: the world, the start or the radars cannot be used, or a number is out of bounds.
+    """
+    checks.number("time_s", time_s, "explore", above=0.0, allowed="> 0")
+    rig, scene = radars_and_world(scenario, scene)
+    if longer := _without_folds(scenario, rig, scene):
+        scenario = scenario.but(sensing=scenario.sensing.but(changes=scenario.sensing.changes | longer))
+        rig, scene = radars_and_world(scenario, scene)
+        log(f"the world is longer than the radars' unambiguous range, so they take {longer}")
+    first = np.array(waypoints_of(scenario.flight, scenario.world, scene)[0], float)
+    start = np.append(first, np.zeros(4 - len(first)))
+    if height_m is not None:
+        start[2] = checks.number("height_m", height_m, "explore")
+    rate_hz = scenario.sensing.rate_hz or next(iter(rig.sensors.values())).fps
+    check_clear(start, scenario.flight.vehicle, scene)
+    loop = Loop(scenario, scene, rig, rate_hz, poses=poses)
+    return Exploration(loop, start, time_s=time_s, report_progress=report_progress)
+
+
+def _without_folds(scenario: Scenario, rig: Rig, scene: Scene) -> dict[str, int]:
+    """Return changes of the radars in whose pulse interval the world fits; none where it does, or they are set."""
+    longest_m = float(np.ptp(scene.bounds, axis=0).max())
+    some = next(iter(rig.sensors.values()))
+    times = 1 << max(math.ceil(math.log2(longest_m / some.unambiguous_range_m)), 0)
+    if times == 1 or scenario.sensing.is_declared or {"prf_div", "stagger_div"} & scenario.sensing.changes.keys():
+        return {}
+    return {"prf_div": some.prf_div * times, "iterations": max(some.iterations // times, 1)}
+
+
 @dataclass(slots=True)
 class MapFeed:
     """Sink that hands each new map to the pilot."""
@@ -310,7 +381,9 @@ class MapFeed:
         if isinstance(item, OccupancyMap):
             self.pilot.take_map(item)
             area = item.grid.step_m**2
-            self.words = f"{item.free.sum() * area:.0f} m2 free, {item.occupied.sum() * item.grid.step_m:.0f} m of surface"
+            self.words = (
+                f"{item.free.sum() * area:.0f} m2 free, {item.occupied.sum() * item.grid.step_m:.0f} m of surface"
+            )
 
     def close(self) -> None:
         """Nothing is open."""

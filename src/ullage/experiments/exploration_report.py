@@ -115,8 +115,8 @@ def judge(
         Metric("contacts", len(touched)),
         Metric("guard_stops", 100 * float(np.mean([state in ("stop", "back_off") for state in flight.states])), "%"),
     ]
-    lines = [flight.summary(), f"It flew {length_m:.1f} m in {flown.duration_s:.0f} s and came within {gap_m:.2f} m of a "
-             f"surface, with {len(touched) or 'no'} contact{'s' if len(touched) != 1 else ''}."]  # fmt: skip
+    far, times = f"{length_m:.1f} m in {flown.duration_s:.0f} s", f"{len(touched)} contacts"
+    lines = [flight.summary(), f"It flew {far} and came within {gap_m:.2f} m of a surface, with {times}."]
     if not maps or not maps[-1][1].occupied.any():
         return Verdict(metrics, [*lines, "It mapped no surface."])
     grid = maps[-1][1].grid.at_height(float(flight.start[2]))

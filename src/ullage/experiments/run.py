@@ -9,6 +9,7 @@ from pathlib import Path
 from ullage.arrays import Floats
 from ullage.config import Scenario, Task
 from ullage.data import Metric, Trajectory
+from ullage.experiments.exploration import Exploration
 from ullage.experiments.folder import RunFolder
 from ullage.experiments.imaging import ImagePlane
 from ullage.experiments.inspection import ObjectOnMap
@@ -60,6 +61,7 @@ class Run:
     plane: ImagePlane | None = None
     map: MapStage | None = None
     obstacles: ObstacleTable | None = None
+    exploration: Exploration | None = None  # the source, where it chose its own path
     findings: list[str] = field(default_factory=list)  # sentences of the report
     unmapped: Floats | None = None  # (k, 3) surface in sight that is not on the map [m]
     map_place: str = ""  # the plane or volume of the map, in words that begin a sentence

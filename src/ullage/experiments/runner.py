@@ -17,6 +17,7 @@ from ullage.arrays import Floats
 from ullage.config import scenario_text
 from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError, UllageError
+from ullage.experiments.exploration import Exploration
 from ullage.experiments.folder import metric_tree, write_json, write_text
 from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
 from ullage.experiments.inspection import inspect, object_rows, place_of
@@ -276,6 +277,13 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
     if job.obstacles is not None:
         job.findings = [*job.findings, *job.obstacles.lines()]
         out |= {one.name: one for one in job.obstacles.metrics()}
+    if job.exploration is not None and job.scene is not None:
+        from ullage.experiments.exploration_report import judge
+
+        history = [*_over_flight(job, maps[-1].grid), (job.exploration.flown.duration_s, maps[-1])] if maps else []
+        found = judge(job.exploration, history, job.scene, job.sampled.frames())
+        job.findings = [*job.findings, *found.lines]
+        out |= {one.name: one for one in found.metrics}
     if job.scene is not None and maps:
         from ullage.processing.metrics import map_quality, worst_moment
         from ullage.processing.truth import NoSurfaceError
@@ -350,6 +358,8 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
     for item in outcome.results:
         if isinstance(item, OccupancyMap):
             out.append(_draw_map(job, item))
+            if job.exploration is not None:
+                out.append(_draw_exploration(job, job.exploration, item))
         elif isinstance(item, Image):
             notes = _image_notes(job, item, frames)
             out.append(
@@ -375,6 +385,16 @@ def _draw_map(job: Run, omap: OccupancyMap) -> Path:
     walls = _walls(job.scene, _height(job))
     return map_figure(job.folder / "figures" / "map.png", omap, title=job.title, walls=walls, flown=job.flown,
                       marks=job.marks)  # fmt: skip
+
+
+def _draw_exploration(job: Run, flight: Exploration, omap: OccupancyMap) -> Path:
+    from ullage.view.exploration_figure import exploration_figure
+
+    pilot = flight.pilot
+    goals = [(one.t_s, one.leg.kind, one.leg.goal) for one in pilot.decisions]
+    upcoming = None if pilot.upcoming is None else pilot.upcoming.goal
+    return exploration_figure(job.folder / "figures" / "explore.png", omap, flight.flown, goals, title=job.title,
+                              walls=_walls(job.scene, _height(job)), upcoming=upcoming)  # fmt: skip
 
 
 def _image_notes(job: Run, image: Image, frames: Mapping[str, Frames]) -> list[str]:

@@ -28,6 +28,7 @@ from ullage.ports.registry import SOURCES, reads
 from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
+    from ullage.experiments.exploration import Exploration
     from ullage.ports.by_hand import Controls
 
 NOWHERE = RunFolder(Path(os.devnull))
@@ -361,13 +362,16 @@ def _begun(
     return Run(NOWHERE, scenario, begun, scene, flown=flown, tasks=scenario.do, live=True)
 
 
-def flight_scenario(target: str, *, tasks: tuple[Task, ...] | None = None, options: Sequence[str] = ()) -> Scenario:
+def flight_scenario(
+    target: str, *, tasks: tuple[Task, ...] | None = None, options: Sequence[str] = (), kind: str = "fly"
+) -> Scenario:
     """Return the scenario of a flight by hand: one by name or file, or the defaults in a world.
 
     Args:
         target: world name, world file, scenario name, or scenario.yaml; a scenario goes before a world of its name.
         tasks: what to do with the frames; None: detect and map, or what the scenario says.
         options: `a.b=value` over the scenario.
+        kind: "fly" or "explore", for name, title and messages.
 
     Raises:
         InputError: there is no such world or scenario, or an option is wrong.
@@ -375,15 +379,15 @@ def flight_scenario(target: str, *, tasks: tuple[Task, ...] | None = None, optio
     from ullage.world.library import WORLDS
 
     path = Path(split_source(target)[0])
-    name = _of_now("fly-" + run_name(path.stem)[:30])
-    title = f"By hand in {path.stem}"
+    name = _of_now(f"{kind}-{run_name(path.stem)[:30]}")
+    title = f"{'By hand in' if kind == 'fly' else 'Exploring'} {path.stem}"
     if target in scenario_names() or path.suffix in {".yaml", ".yml"}:
         found = find_scenario(target, options=options)
         return found.but(name=name, title=title, do=found.do if tasks is None else tasks, expect={})
     if target not in WORLDS and not path.suffix:
         allowed = f"a scenario ({', '.join(families())}), a world ({', '.join(WORLDS)}), or a file of either"
         near = suggestion(target, [*scenario_names(), *WORLDS])
-        raise InputError(f"no scenario or world {target!r}{near}", where="fly", allowed=allowed)
+        raise InputError(f"no scenario or world {target!r}{near}", where=kind, allowed=allowed)
     world = {"name": target} if target in WORLDS else {"file": target}
     tree = {"name": name, "title": title, "world": world, "do": ("detect", "map") if tasks is None else tasks}
     return make_scenario(tree, options=options)
@@ -426,6 +430,30 @@ def make_flight(
     except BaseException:
         controls.close()
         raise
+
+
+def make_exploration(
+    flight: Exploration, *, out: Path | None = None, to: Sequence[str] = (), log: Callable[[str], None] = LOGGER.info
+) -> Run:
+    """Get an exploring flight ready: its sinks are open, and its draft folder is made.
+
+    Args:
+        flight: that has not begun; see `ullage.experiments.exploration.prepare`.
+        out: where run folders are made; None: ./runs.
+        to: sinks beside the run's own files.
+        log: called with what a person should know.
+
+    Raises:
+        InputError: a sink or the folder cannot be used.
+    """
+    for sink in to:
+        check_sink(sink)
+    scenario, scene = flight.loop.scenario, flight.loop.scene
+    run = Run(NOWHERE, scenario, flight, scene, flown=flight.first, tasks=scenario.do, live=True, exploration=flight)
+    run.sinks.append(flight.maps)
+    x, y, z = flight.start[:3]
+    log(f"exploring from ({x:.1f}, {y:.1f}, {z:.1f}) m for {flight.pilot.time_s:g} s; Ctrl-C ends the flight in order")
+    return _begin(run, to, out)
 
 
 def _controls(by: str, scenario: Scenario, log: Callable[[str], None]) -> Controls:

@@ -38,9 +38,10 @@ APERTURE_M = 0.5  # of track that a view needs at least
 STOP_S = 2.0  # of every flight to a view: start, turn and stop
 SLACK = 1.3  # flown time over that of the straight segments
 RESERVE_S = 4.0  # left at home
+TIGHT = 2.0  # cost of a cell that was flown through with less than the asked clearance: the guard slows flights there
 KEEP = 1.5  # a goal is kept until another one is better by as much
 
-Kind = Literal["view", "probe", "turn", "home"]
+Kind = Literal["view", "probe", "turn", "aside", "home"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +68,7 @@ class Situation:
     omap: OccupancyMap
     place: Floats  # (2) of the vehicle [m]
     open: Bools  # (ny, nx) cells that a path may cross
+    wide: Bools  # (ny, nx) those with the asked clearance, not only flown through
     cells: Longs  # (n, 2) those cells
     away_m: Floats  # (2, n) shortest way to each from the vehicle and from home, inf where there is none [m]
     before: Ints  # (n) cell before each on the way from the vehicle, below zero where there is none
@@ -124,17 +126,21 @@ class ViewPlanner:
         """Return what the vehicle can reach from here by this map: space free with the asked clearance, or flown."""
         free = omap.free | self._flown
         room_m = (distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] - 0.5) * self.grid.step_m
-        open_ = (room_m >= self.clearance_m) & ~self._barred | self._flown
+        wide = (room_m >= self.clearance_m) & ~self._barred
+        open_ = wide | self._flown
         here = self._cell(place)
         open_[here] = True
         number = np.full(open_.shape, -1)
         number[open_] = np.arange(int(open_.sum()))
         ends = [int(number[here]), int(number[self._home])]
-        away, before = dijkstra(lattice_graph(open_), directed=False, indices=ends, return_predecessors=True)
+        graph = lattice_graph(open_).tocoo()
+        tight = ~wide[open_]
+        graph.data *= np.where(tight[graph.row] | tight[graph.col], TIGHT, 1.0)
+        away, before = dijkstra(graph.tocsr(), directed=False, indices=ends, return_predecessors=True)
         far = np.isfinite(away[0]) & (away[0] * self.grid.step_m >= APERTURE_M)
         narrow = not bool((far & ~self._flown[open_]).any())
-        return Situation(omap, np.asarray(place, float)[:2], open_, np.argwhere(open_), away * self.grid.step_m, before[0],
-                         ends[1], narrow)  # fmt: skip
+        at = np.asarray(place, float)[:2]
+        return Situation(omap, at, open_, wide, np.argwhere(open_), away * self.grid.step_m, before[0], ends[1], narrow)
 
     def time_s(self, length_m: ArrayLike) -> Floats:
         """Time that paths take [s]."""
@@ -144,6 +150,16 @@ class ViewPlanner:
         """Whether a path (n, 2) crosses open cells only [m]."""
         cells, _ = self.grid.index(path)
         return all(clear(a, b, now.open) for a, b in pairwise(cells))
+
+    def free_m(self, now: Situation, way_rad: Floats) -> Floats:
+        """Return how far space is known to be free from the vehicle in some directions [m]."""
+        range_m = self.grid.step_m * np.arange(1, round(REACH_M / self.grid.step_m) + 1)
+        unit = np.stack([np.cos(way_rad), np.sin(way_rad)], 1)
+        points = now.place + range_m[None, :, None] * unit[:, None]
+        cells, inside = self.grid.index(points.reshape(-1, 2))
+        row, column = np.where(inside[:, None], cells, 0).T
+        free = (now.omap.free[row, column] & inside).reshape(len(way_rad), -1)
+        return np.asarray(self.grid.step_m * np.cumprod(free, axis=1).sum(1))
 
     def home(self, now: Situation) -> Leg | None:
         """Return the way home, or None if it is barred."""
@@ -210,7 +226,7 @@ class ViewPlanner:
         while now.before[nodes[-1]] >= 0:
             nodes.append(int(now.before[nodes[-1]]))
         cells = now.cells[nodes[::-1]]
-        cells = cells[straightened(cells, now.open)]
+        cells = cells[straightened(cells, now.wide)]
         return np.column_stack([self.grid.x_m[cells[:, 1]], self.grid.y_m[cells[:, 0]]])
 
 

@@ -33,6 +33,16 @@ GROUPS: dict[str, dict[str, str]] = {
         "corridor_falsely_clear": "Share of closed cells that the map opens to a corridor 0.5 m wide.",
         "occupied_to_path": "Distance from the flown path to the nearest occupied cell.",
     },
+    "An exploring flight": {
+        "explored": "Share of the surface that radars could observe from anywhere the vehicle fits, that is mapped.",
+        "explored_at_25": "The same after a quarter of the flight.",
+        "explored_at_50": "The same after half of it.",
+        "explored_at_75": "The same after three quarters of it.",
+        "flight_length": "Length of the flown path.",
+        "closest_approach": "Least distance between the hull and any surface.",
+        "contacts": "Times that the vehicle touched something.",
+        "guard_stops": "Share of the time for which the guard stopped it or backed off.",
+    },
     "What the map knows": {
         "free_found": "Share of the open cells in sight that the map marks as free.",
         "known_behind": "Share of the known cells that lie out of sight, more than 0.3 m behind a surface.",

@@ -20,6 +20,7 @@ from ullage.view.replay import FILE as REPLAY
 
 CAPTIONS = {
     "map": "Occupancy map over the flown path (blue); red: true walls; circles: surveyed reflectors.",
+    "explore": "The map with the flight coloured by time, its goals, and where it would go on.",
     "image": "Synthetic aperture image, amplitude in dB below its brightest cell.",
     "own_echo": "Power received over range, the radar's own echo that was removed, and what remains.",
     "calibration": "Posterior of the clock offset between radar and track, and the offsets that were applied.",
