@@ -160,9 +160,9 @@ class Explorer:
             self._planned_s = now_s
             if free or leg is None or not np.allclose(view.goal, leg.goal) or not planner.is_open(now, self._ahead()):
                 self._fly(view, here, now_s)
-        elif now.narrow and leg is not None and leg.kind == "probe" and not stuck:
+        elif leg is not None and leg.kind == "probe" and not stuck:
             self._fly(Leg("turn", here[None, :2], "turning to look between the beams"), here, now_s)
-        elif now.narrow and (probe := self._probe(planner, now, here, room)) is not None:
+        elif (probe := self._probe(planner, now, here, room)) is not None:
             self._fly(probe, here, now_s)
         else:
             upcoming = planner.next_view(now, math.inf)
@@ -222,12 +222,14 @@ class Explorer:
             self._fly(self._way_home(planner, now), here, now_s)
 
     def _probe(self, planner: ViewPlanner, now: Situation, here: Floats, room: Room) -> Leg | None:
-        """Return a short flight where the guard measures the most room; None: it knows none, or all were tried."""
+        """Return a short flight into unknown space where the guard measures room; None: there is none, or none new."""
         done = np.array([row[2] for row in self._probed if np.linalg.norm(row[:2] - here[:2]) < PROBE_M / 4])
         tried = np.cos(room.way_rad[:, None] - done).max(1, initial=-1.0) > 0.9
-        spare = np.where(tried, 0.0, room.free_m - self.clearance_m)
+        free_m, solid = planner.free_m(now, room.way_rad, PROBE_M)
+        new = (free_m < PROBE_M - planner.grid.step_m) & ~solid & ~tried
+        spare = np.where(new, room.free_m - self.clearance_m, 0.0)
         ahead = np.cos(room.way_rad - self.heading_rad)  # a hovering radar tells no directions; ahead needs no turn
-        worth = spare + ahead + planner.free_m(now, room.way_rad)
+        worth = spare + ahead + free_m
         best = int(np.argmax(np.where(spare > 0, worth, -np.inf)))
         if spare[best] <= 0 or len(self._probed) >= MOST_PROBES:
             return None

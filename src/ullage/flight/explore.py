@@ -151,15 +151,15 @@ class ViewPlanner:
         cells, _ = self.grid.index(path)
         return all(clear(a, b, now.open) for a, b in pairwise(cells))
 
-    def free_m(self, now: Situation, way_rad: Floats) -> Floats:
-        """Return how far space is known to be free from the vehicle in some directions [m]."""
-        range_m = self.grid.step_m * np.arange(1, round(REACH_M / self.grid.step_m) + 1)
+    def free_m(self, now: Situation, way_rad: Floats, most_m: float) -> tuple[Floats, Bools]:
+        """Return how far space is known to be free in some directions, up to a limit [m], and if it is solid then."""
+        omap, range_m = now.omap, self.grid.step_m * np.arange(1, round(most_m / self.grid.step_m) + 1)
         unit = np.stack([np.cos(way_rad), np.sin(way_rad)], 1)
         points = now.place + range_m[None, :, None] * unit[:, None]
         cells, inside = self.grid.index(points.reshape(-1, 2))
         row, column = np.where(inside[:, None], cells, 0).T
-        free = (now.omap.free[row, column] & inside).reshape(len(way_rad), -1)
-        return np.asarray(self.grid.step_m * np.cumprod(free, axis=1).sum(1))
+        free, solid = ((cells[row, column] & inside).reshape(len(way_rad), -1) for cells in (omap.free, omap.occupied))
+        return np.asarray(self.grid.step_m * np.cumprod(free, axis=1).sum(1)), np.asarray(solid.any(1))
 
     def home(self, now: Situation) -> Leg | None:
         """Return the way home, or None if it is barred."""

@@ -1,0 +1,177 @@
+"""Exploring flights: the pilot over maps that grow as it flies, and the whole loop with radars, mapper and guard."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import ullage as ul
+from ullage.cli import app
+from ullage.errors import InputError
+from ullage.experiments.exploration import LATE_S, Explorer
+from ullage.experiments.exploration_report import mapped, observable_from, reachable
+from ullage.geometry import rpy_quat
+from ullage.grids import UNKNOWN, Grid, OccupancyMap
+from ullage.processing.obstacles import ObstacleStage
+
+STAGE = ObstacleStage(ul.Rig.preset("thesis-4").sensors)
+START = np.array([1.0, 1.0, 1.0, 0.0])
+GRID = Grid((-0.5, -0.5, 1.0), 0.1, (50, 70))
+QUICK = ["sensing.rate_hz=10", "flight.waypoints=[[-1,0,0]]"]
+ROOM = ul.scenes.room(size_m=(6, 5, 3))
+
+
+def pose(place: np.ndarray, yaw_rad: float, t_s: float) -> ul.Trajectory:
+    return ul.Trajectory(np.array([round(t_s * 1e9)]), place[None], rpy_quat(0.0, 0.0, np.array([yaw_rad])))
+
+
+def hall() -> np.ndarray:
+    """The cells of a hall of 6 x 4 m with an inner wall."""
+    percent = np.full(GRID.shape, 95, np.int8)
+    percent[5:45, 5:65] = 5
+    percent[5:28, 32:35] = 95
+    return percent
+
+
+def fly_by_sight(explorer: Explorer, *, sight_m: float, moves: bool = True) -> tuple[list[np.ndarray], OccupancyMap]:
+    """Fly a point that sees everything within some distance, until the explorer ends."""
+    place, yaw, track, known = START[:3].copy(), 0.0, [], np.full(GRID.shape, UNKNOWN, np.int8)
+    x, y = np.meshgrid(GRID.x_m, GRID.y_m)
+    for step in range(round(10 * (explorer.time_s + 2 * LATE_S))):
+        near = np.hypot(x - place[0], y - place[1]) <= sight_m
+        known[near] = hall()[near]
+        if step % 10 == 0:
+            explorer.take_map(OccupancyMap(GRID, known.copy()))
+        explorer.update(pose(place, yaw, step / 10), STAGE.sectors(step * 100_000_000))
+        track.append(place.copy())
+        if explorer.ended:
+            break
+        if moves:
+            place = place + 0.1 * explorer.velocity(place)
+            yaw = explorer.heading_rad
+    return track, OccupancyMap(GRID, known)
+
+
+@pytest.mark.parametrize("time_s", [20.0, 100.0])
+def test_a_pilot_is_home_in_time_and_never_near_what_it_does_not_know(time_s: float) -> None:
+    explorer = Explorer(START, time_s=time_s, speed_m_s=0.5, clearance_m=0.4)
+    track, omap = fly_by_sight(explorer, sight_m=1.5)
+    flown = np.array(track)
+    assert explorer.at_home
+    assert explorer.ended.startswith("at home: ")
+    assert np.linalg.norm(flown[-1, :2] - START[:2]) < 0.3
+    assert len(track) / 10 <= time_s + 2
+    cells, _ = GRID.index(flown)
+    assert omap.free[cells[:, 0], cells[:, 1]].all()
+    solid = np.argwhere(hall() == 95)
+    centres = np.column_stack([GRID.x_m[solid[:, 1]], GRID.y_m[solid[:, 0]]])
+    assert np.linalg.norm(flown[:, None, :2] - centres[None], axis=2).min() > 0.25
+    if time_s == 100:
+        assert (omap.percent[5:45, 5:65] != UNKNOWN).mean() > 0.9
+        assert "nothing is left" in explorer.ended
+
+
+def test_a_vehicle_that_never_gets_on_ends_with_words() -> None:
+    explorer = Explorer(START, time_s=30.0, speed_m_s=0.5, clearance_m=0.4)
+    track, _ = fly_by_sight(explorer, sight_m=1.5, moves=False)
+    assert explorer.ended
+    assert len(track) / 10 <= 30.0 + LATE_S + 1
+    assert any(one.leg.kind == "aside" for one in explorer.decisions)
+
+
+def test_a_pilot_without_room_is_boxed_in_and_says_so() -> None:
+    explorer = Explorer(START, time_s=60.0, speed_m_s=0.5, clearance_m=0.4)
+    track, _ = fly_by_sight(explorer, sight_m=0.2)
+    assert "boxed in" in explorer.ended
+    assert explorer.at_home
+    assert len(track) / 10 < 10
+
+
+def test_the_same_seed_gives_the_same_flight_and_frames_carry_its_believed_poses() -> None:
+    given: list[bool] = []
+
+    def shifted(truth: ul.Trajectory, frames: object) -> ul.Trajectory:
+        given.append(all(part.poses is None and part.truth is None for part in frames.values()))  # type: ignore[attr-defined]
+        return truth
+
+    first = ul.explore(ROOM, time_s=8.5, seed=3, options=QUICK)
+    second = ul.explore(ROOM, time_s=8.5, seed=3, options=QUICK, poses=shifted)
+    assert np.array_equal(first.flown.position, second.flown.position)
+    assert np.array_equal(first.frames["front"].samples, second.frames["front"].samples)
+    assert [one.leg.words for one in first.decisions] == [one.leg.words for one in second.decisions]
+    assert first.decisions[0].leg.kind == "probe"
+    assert not first.contacts
+    assert len(given) == len(second.flown)
+    assert all(given)
+
+
+def test_ctrl_c_ends_the_flight_in_order() -> None:
+    def stop(words: str) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    explored = ul.explore(ROOM, time_s=60.0, options=QUICK, progress=stop)
+    assert explored.flown.duration_s < 2
+    assert explored.summary.startswith("The flight ended by hand")
+    assert not explored.at_home
+
+
+def test_the_surface_to_explore_is_what_the_vehicle_could_see_from_where_it_fits() -> None:
+    grid = Grid.covering(ROOM.bounds, 0.1, z_m=0.0)
+    places = reachable(ROOM, np.array([-1.0, 0.0, 0.0, 0.0]), clearance_m=0.7)
+    assert np.abs(places[:, :2]).max(0) == pytest.approx([2.3, 1.8], abs=0.16)
+    surface = observable_from(ROOM, grid, ul.Rig.preset("thesis-4"), places[::4])
+    assert 0.7 < surface.observable(1).mean() <= 1.0
+    percent = np.zeros(grid.shape, np.int8)
+    percent[0] = 95  # the wall in the south
+    on_map = mapped(OccupancyMap(grid, percent), surface.points)
+    assert on_map[surface.points[:, 1] < -2.45].all()
+    assert not on_map[surface.points[:, 1] > -2.2].any()
+
+
+@pytest.mark.slow
+def test_a_room_is_explored_without_contact_and_the_run_folder_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["explore", "ntnu-room", "--time", "60", "--seed", "1", "-o", "sensing.rate_hz=10"])
+    assert done.exit_code == 0, done.output
+    folder = Path("runs/latest")
+    metrics = {name: one["value"] for name, one in json.loads((folder / "metrics.json").read_text()).items()}
+    assert metrics["contacts"] == 0
+    assert metrics["closest_approach"] >= 0.25
+    assert metrics["explored"] > 0.5
+    assert metrics["explored"] >= metrics["explored_at_25"]
+    assert "The flight ended at home" in (folder / "verdict.txt").read_text()
+    assert (folder / "figures" / "explore.png").stat().st_size > 10_000
+    assert len(ul.open(folder / "frames.mcap").frames()) == 4
+    assert math.isfinite(metrics["flight_length"])
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["explore", "ntnu-rom"], "no scenario or world 'ntnu-rom'; did you mean 'ntnu-room'"),
+        (["explore", "ntnu-room", "--height", "2.95"], "the start at"),
+        (["explore", "ntnu-room", "-o", "flight.speed=1"], "flight.speed"),
+        (["explore", "ntnu-room", "-o", "sensing.rate_hz=2"], "flight.guard.latency_s"),
+    ],
+)
+def test_what_cannot_be_explored_is_refused_in_one_line(
+    words: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, words)
+    assert isinstance(done.exception, InputError)
+    assert says in str(done.exception)
+    assert not list(tmp_path.glob("runs/*/frames.mcap"))
+
+
+def test_poses_that_are_no_source_of_poses_are_refused() -> None:
+    with pytest.raises(InputError, match=r"poses is .radar..*\"exact\", or a callable"):
+        ul.explore("ntnu-room", poses="radar")  # type: ignore[arg-type]

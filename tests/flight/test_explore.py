@@ -1,0 +1,150 @@
+"""The view planner on maps drawn by hand: what it may cross, when it has to be home, and what draws it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_edt
+
+from ullage.errors import InputError
+from ullage.flight.explore import RESERVE_S, Leg, ViewPlanner, direction
+from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
+
+STEP_M, CLEARANCE_M = 0.1, 0.4
+GRID = Grid((0.0, 0.0, 1.0), STEP_M, (80, 100))
+
+
+def drawn(*free: tuple[float, float, float, float]) -> OccupancyMap:
+    """A map with free boxes (left, right, bottom, top) [m]."""
+    percent = np.full(GRID.shape, UNKNOWN, np.int8)
+    for left, right, bottom, top in free:
+        x, y = (GRID.x_m > left) & (GRID.x_m < right), (GRID.y_m > bottom) & (GRID.y_m < top)
+        percent[np.ix_(y, x)] = 5
+    return OccupancyMap(GRID, percent)
+
+
+def planner(home: tuple[float, float] = (1.0, 1.0)) -> ViewPlanner:
+    return ViewPlanner(GRID, np.array(home), clearance_m=CLEARANCE_M, speed_m_s=0.5)
+
+
+def room_along(omap: OccupancyMap, leg: Leg) -> float:
+    """Least distance from the path to a cell that is not free [m]."""
+    gap = distance_transform_edt(np.pad(omap.free, 1))[1:-1, 1:-1] * STEP_M
+    points = np.concatenate([np.linspace(a, b, 50) for a, b in zip(leg.path[:-1], leg.path[1:], strict=True)])
+    cells, _ = GRID.index(points)
+    return float(gap[cells[:, 0], cells[:, 1]].min())
+
+
+BOX = st.tuples(st.floats(1.5, 6.0), st.floats(0.3, 3.0), st.floats(0.5, 5.0), st.floats(0.3, 3.0))
+
+
+@settings(deadline=None, max_examples=30)
+@given(solids=st.lists(BOX, max_size=3), left_s=st.floats(5.0, 120.0))
+def test_a_path_keeps_its_clearance_and_the_way_home_fits_the_time(
+    solids: list[tuple[float, float, float, float]], left_s: float
+) -> None:
+    percent = drawn((0.3, 9.0, 0.3, 7.0)).percent.copy()
+    for x, width, y, height in solids:
+        here = (GRID.x_m > x) & (GRID.x_m < x + width), (GRID.y_m > y) & (GRID.y_m < y + height)
+        percent[np.ix_(here[1], here[0])] = UNKNOWN
+    omap, head = OccupancyMap(GRID, percent), planner()
+    now = head.at(omap, np.array([1.0, 1.0]))
+    leg = head.next_view(now, left_s)
+    if leg is None:
+        return
+    assert room_along(omap, leg) >= CLEARANCE_M
+    assert leg.travel_s + leg.home_s + RESERVE_S <= left_s
+    assert leg.travel_s >= np.linalg.norm(np.diff(leg.path, axis=0), axis=1).sum() / head.speed_m_s
+    back = head.home(head.at(omap, leg.goal))
+    assert back is not None
+    assert back.travel_s == pytest.approx(leg.home_s)
+    assert room_along(omap, back) >= CLEARANCE_M
+
+
+def test_the_goal_lies_at_the_frontier_and_not_at_a_wall() -> None:
+    """A corridor from west to east: solid at its sides and its west end, unknown at its east end."""
+    percent = np.full(GRID.shape, 95, np.int8)
+    percent[5:20, 5:60], percent[5:20, 60:] = 5, UNKNOWN
+    leg = planner().next_view(planner().at(OccupancyMap(GRID, percent), np.array([1.0, 1.2])), math.inf)
+    assert leg is not None
+    assert leg.goal[0] > 2.0
+    assert leg.words.endswith("east")
+
+
+def test_a_room_that_is_known_throughout_is_worth_no_flight() -> None:
+    percent = np.full(GRID.shape, UNKNOWN, np.int8)
+    percent[3:62, 3:82] = 95  # a wall of two cells, with nothing known behind
+    percent[5:60, 5:80] = 5
+    now = planner().at(OccupancyMap(GRID, percent), np.array([1.0, 1.2]))
+    assert planner().next_view(now, math.inf) is None
+    assert not now.narrow
+
+
+def test_ambiguous_cells_draw_as_unknown_ones_do() -> None:
+    percent = drawn((0.3, 9.0, 0.3, 7.0)).percent.copy()
+    unsure = np.where(percent == UNKNOWN, AMBIGUOUS, percent).astype(np.int8)
+    first, second = (
+        planner().next_view(planner().at(OccupancyMap(GRID, cells), np.array([1.0, 1.0])), math.inf)
+        for cells in (percent, unsure)
+    )
+    assert first is not None
+    assert second is not None
+    assert first.gain_m2 == second.gain_m2
+
+
+def test_views_that_teach_nothing_are_given_up_in_the_end() -> None:
+    """The map never changes, as where echoes go elsewhere: every view is worth less than the one before."""
+    omap, head, place, gains = drawn((0.3, 6.0, 0.3, 5.0)), planner(), np.array([1.0, 1.0]), []
+    for _ in range(400):
+        leg = head.next_view(head.at(omap, place), math.inf)
+        if leg is None:
+            break
+        gains.append(leg.gain_m2)
+        for share in np.linspace(0, 1, 5):
+            head.saw(omap, place + share * (leg.goal - place))
+        place = leg.goal
+    assert leg is None
+    assert gains[-1] < 0.5 * gains[0]
+
+
+def test_without_a_path_there_is_no_way_home_and_what_was_flown_through_is_one() -> None:
+    omap, head, there = drawn((0.3, 2.0, 0.3, 2.0), (4.0, 7.0, 0.3, 3.0)), planner(), np.array([5.5, 1.5])
+    assert head.home(head.at(omap, there)) is None
+    for x in np.arange(1.0, 5.5, 0.05):
+        head.flew(np.array([x, 1.0 + 0.5 * (x - 1.0) / 4.5, 1.0]))
+    leg = head.home(head.at(omap, there))
+    assert leg is not None
+    assert leg.goal == pytest.approx([1.0, 1.0], abs=STEP_M)
+
+
+def test_a_barred_place_closes_a_passage_but_not_where_the_vehicle_flew() -> None:
+    omap, head, here = drawn((0.3, 9.0, 0.3, 2.0)), planner(), np.array([1.0, 1.0])
+    free = head.at(omap, here)
+    assert head.is_open(free, np.array([[1.0, 1.0], [8.0, 1.0]]))
+    head.bar(np.array([4.0, 1.0]), 1.0)
+    assert not head.is_open(head.at(omap, here), np.array([[1.0, 1.0], [8.0, 1.0]]))
+    for x in np.arange(1.0, 8.0, 0.05):
+        head.flew(np.array([x, 1.0, 1.0]))
+    assert head.is_open(head.at(omap, here), np.array([[1.0, 1.0], [7.9, 1.0]]))
+
+
+def test_an_empty_map_is_narrow() -> None:
+    now = planner().at(OccupancyMap(GRID, np.full(GRID.shape, UNKNOWN, np.int8)), np.array([1.0, 1.0]))
+    assert now.narrow
+    assert planner().next_view(now, math.inf) is None
+
+
+def test_directions_are_in_words() -> None:
+    assert direction(np.array([0.0, 4.2])) == "4 m north"
+    assert direction(np.array([-3.0, -3.0, 9.0])) == "4 m southwest"
+
+
+def test_a_home_off_the_map_and_no_clearance_are_refused() -> None:
+    with pytest.raises(InputError, match=r"\(20.00, 1.00\) m is off the map"):
+        planner((20.0, 1.0))
+    with pytest.raises(InputError, match="clearance_m is 0"):
+        ViewPlanner(GRID, np.array([1.0, 1.0]), clearance_m=0, speed_m_s=0.5)
