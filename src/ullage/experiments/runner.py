@@ -281,9 +281,9 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
         from ullage.experiments.exploration_report import judge
 
         history = [*_over_flight(job, maps[-1].grid), (job.exploration.flown.duration_s, maps[-1])] if maps else []
-        found = judge(job.exploration, history, job.scene, job.sampled.frames())
-        job.findings = [*job.findings, *found.lines]
-        out |= {one.name: one for one in found.metrics}
+        judged = judge(job.exploration, history, job.scene, job.sampled.frames())
+        job.findings = [*job.findings, *judged.lines]
+        out |= {one.name: one for one in judged.metrics}
     if job.scene is not None and maps:
         from ullage.processing.metrics import map_quality, worst_moment
         from ullage.processing.truth import NoSurfaceError

@@ -73,7 +73,7 @@ class Situation:
     away_m: Floats  # (2, n) shortest way to each from the vehicle and from home, inf where there is none [m]
     before: Ints  # (n) cell before each on the way from the vehicle, below zero where there is none
     home: int  # cell of home
-    narrow: bool  # it can go nowhere but where it flew
+    narrow: bool  # it can go nowhere with the asked clearance
 
 
 class ViewPlanner:
@@ -138,7 +138,7 @@ class ViewPlanner:
         graph.data *= np.where(tight[graph.row] | tight[graph.col], TIGHT, 1.0)
         away, before = dijkstra(graph.tocsr(), directed=False, indices=ends, return_predecessors=True)
         far = np.isfinite(away[0]) & (away[0] * self.grid.step_m >= APERTURE_M)
-        narrow = not bool((far & ~self._flown[open_]).any())
+        narrow = not bool((far & wide[open_]).any())
         at = np.asarray(place, float)[:2]
         return Situation(omap, at, open_, wide, np.argwhere(open_), away * self.grid.step_m, before[0], ends[1], narrow)
 
@@ -180,7 +180,7 @@ class ViewPlanner:
         wanted = (now.cells % stride == 0).all(1)
         same = np.zeros(len(wanted), bool) if kept is None else (now.cells == self._cell(kept.goal)).all(1)
         travel_s, home_s = self.time_s(now.away_m)
-        wanted &= now.away_m[0] >= APERTURE_M
+        wanted &= (now.away_m[0] >= APERTURE_M) & now.wide[now.open]  # what was flown through is a way, not a goal
         rows = np.flatnonzero((wanted | same) & (travel_s + home_s + RESERVE_S <= left_s))
         if not len(rows):
             return None
