@@ -23,12 +23,12 @@ from ullage.cli import app
 
 GROUPS = {
     "Worlds and flights": ["load_scene", "Scene", "scenes", "worlds", "Waypoints", "fly", "fly_log", "explore",
-                           "navigate", "Trajectory"],
+                           "navigate", "Trajectory", "ImuSpec", "simulate_imu", "simulate_height"],
     "Radars": ["RadarSpec", "Rig", "MountSpec", "AntennaSpec", "NoiseSpec", "ThesisSpec", "simulate", "LiveRadars",
                "Receiver", "explain"],
-    "Data": ["Frames", "Detections", "Grid", "Image", "OccupancyMap", "Metric"],
+    "Data": ["Frames", "Detections", "Grid", "Image", "OccupancyMap", "Metric", "Imu", "Height"],
     "Processing": ["detect", "focus", "map_occupancy", "calibrate", "own_echo", "ObstacleStage", "ObstacleSectors",
-                   "Guard", "GuardSpec", "metrics", "figures"],
+                   "Guard", "GuardSpec", "odometry", "Odometry", "metrics", "figures"],
     "Files, ports and runs": ["open", "sink", "run", "dataset"],
 }  # fmt: skip
 API = """# Python API

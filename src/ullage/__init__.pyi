@@ -4,6 +4,8 @@ from ullage import worlds as worlds
 from ullage.config import GuardSpec as GuardSpec
 from ullage.data import Detections as Detections
 from ullage.data import Frames as Frames
+from ullage.data import Height as Height
+from ullage.data import Imu as Imu
 from ullage.data import Metric as Metric
 from ullage.data import Trajectory as Trajectory
 from ullage.errors import InputError as InputError
@@ -11,6 +13,9 @@ from ullage.errors import UllageError as UllageError
 from ullage.errors import UllageWarning as UllageWarning
 from ullage.experiments.dataset import dataset as dataset
 from ullage.experiments.explore import explore as explore
+from ullage.flight.imu import ImuSpec as ImuSpec
+from ullage.flight.imu import simulate_height as simulate_height
+from ullage.flight.imu import simulate_imu as simulate_imu
 from ullage.flight.missions import Waypoints as Waypoints
 from ullage.flight.navigation import navigate as navigate
 from ullage.flight.vehicle import fly as fly
@@ -29,6 +34,8 @@ from ullage.processing.guard import Guard as Guard
 from ullage.processing.obstacles import ObstacleSectors as ObstacleSectors
 from ullage.processing.obstacles import ObstacleStage as ObstacleStage
 from ullage.processing.occupancy import map_occupancy as map_occupancy
+from ullage.processing.odometry.odometry import Odometry as Odometry
+from ullage.processing.odometry.odometry import odometry as odometry
 from ullage.processing.own_echo import own_echo as own_echo
 from ullage.processing.sar import focus as focus
 from ullage.radar.explain import explain as explain

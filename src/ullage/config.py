@@ -100,6 +100,11 @@ class FlightSpec(Spec):
     wander_m: float = Field(0.0, ge=0, le=5, description="stray as under a human hand, rms along x and y; half in z")
     wander_deg: float = Field(0.0, ge=0, le=90, description="the same of the heading, rms")
     hover_s: float = Field(0.0, ge=0, le=600, description="hover at the last waypoint")
+    poses: Literal["navigation", "radar"] = Field(
+        "navigation",
+        description="what the processors believe: navigation's errors on the truth, or odometry by the radars with a "
+        "simulated inertial unit and altimeter",
+    )
     guard: GuardSpec = GuardSpec()
 
     @field_validator("waypoints")
@@ -118,6 +123,8 @@ class FlightSpec(Spec):
             raise ValueError("guard.on wants a vehicle that can brake (allowed: vehicle hector)")
         if self.guard.on and (self.wander_m or self.wander_deg):
             raise ValueError("guard.on flies no wander (allowed: wander_m 0 and wander_deg 0)")
+        if self.guard.on and self.poses == "radar":
+            raise ValueError("guard.on flies by navigation's poses (allowed: poses navigation)")
         return self
 
 

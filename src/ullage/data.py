@@ -223,6 +223,45 @@ def _point(name: str, value: ArrayLike) -> Floats:
     return np.asarray(_array(name, np.ravel(checks.array(name, value)), (3,)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Imu:
+    """Readings of an inertial unit at the body's origin, each the mean since the one before it."""
+
+    t_ns: Longs  # (n) strictly rising
+    angular_velocity: Floats  # (n, 3) body (FLU) [rad/s]
+    specific_force: Floats  # (n, 3) body (FLU) [m/s2]; at rest and level (0, 0, +g)
+
+    def __post_init__(self) -> None:
+        t_ns = _rising(self.t_ns)
+        object.__setattr__(self, "t_ns", t_ns)
+        for name in ("angular_velocity", "specific_force"):
+            object.__setattr__(self, name, _array(name, getattr(self, name), (len(t_ns), 3)))
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def __getitem__(self, key: slice | NDArray[Any]) -> Imu:
+        return Imu(self.t_ns[key], self.angular_velocity[key], self.specific_force[key])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Height:
+    """Heights of the body, as a barometer or a range to the floor gives them."""
+
+    t_ns: Longs  # (n) strictly rising
+    height_m: Floats  # (n) z in the world [m]
+    sigma_m: float  # of one reading; their errors are independent [m]
+
+    def __post_init__(self) -> None:
+        t_ns = _rising(self.t_ns)
+        object.__setattr__(self, "t_ns", t_ns)
+        object.__setattr__(self, "height_m", _array("height_m", self.height_m, (len(t_ns),)))
+        checks.number("sigma_m", self.sigma_m, "Height", above=0.0, allowed="> 0")
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
 def _slope(t_ns: Longs, position: Floats) -> Floats:
     if len(t_ns) == 1:
         return np.zeros_like(position)

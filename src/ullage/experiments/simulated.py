@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from ullage.config import FlightSpec, Scenario, WorldSpec
 from ullage.data import Frames, Trajectory, even_times, gathered, strung
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageWarning
 from ullage.specs import Rig
 from ullage.world.scene import Scene
 
@@ -34,6 +35,27 @@ class Simulated:
 
     def stream(self) -> Iterator[dict[str, Frames]]:
         """Give the frames of each radar, chunk by chunk."""
+        return self._by_radar() if self.scenario.flight.poses == "radar" else self._stream()
+
+    def _by_radar(self) -> Iterator[dict[str, Frames]]:
+        """The frames with the poses that odometry estimates from them."""
+        from ullage.flight.imu import simulate_height, simulate_imu
+        from ullage.processing.odometry.odometry import Odometry
+
+        seed = self.scenario.seed
+        work = Odometry(start=self.flown[:1])
+        work.add_imu(simulate_imu(self.flown, seed=seed))
+        work.add_height(simulate_height(self.flown, seed=seed))
+        for chunk in self._stream():
+            work.add(chunk)
+            yield work.placed(chunk)
+        if lost := work.result().lost:
+            first = float(self.flown.t_ns[0])
+            spans = "; ".join(f"{(one.from_ns - first) * 1e-9:.1f} to {(one.to_ns - first) * 1e-9:.1f} s: {one.why}"
+                              for one in lost[:3])  # fmt: skip
+            warnings.warn(f"the radars' poses are not to be trusted from {spans}", UllageWarning, stacklevel=2)
+
+    def _stream(self) -> Iterator[dict[str, Frames]]:
         if self.received:
             for start in range(0, len(self.received), self.piece):
                 yield gathered(self.received[start : start + self.piece])

@@ -1,0 +1,1 @@
+"""Poses from radars and an inertial unit."""
