@@ -21,6 +21,13 @@ WATCHED_S = 0.5
 """Longest piece of a flight that somebody watches, so that map and path come once a second."""
 
 
+DOUBTFUL = (
+    "poses come from the radars, with an inertial unit and an altimeter simulated from the true flight; "
+    "in holds and round tanks they err by more than they say"
+)
+"""What a run by such poses warns of."""
+
+
 @dataclass(frozen=True, slots=True)
 class Simulated:
     """World, flight and radars of a scenario."""
@@ -42,6 +49,7 @@ class Simulated:
         from ullage.flight.imu import simulate_height, simulate_imu
         from ullage.processing.odometry.odometry import Odometry
 
+        warnings.warn(DOUBTFUL, UllageWarning, stacklevel=2)
         seed = self.scenario.seed
         work = Odometry(start=self.flown[:1])
         work.add_imu(simulate_imu(self.flown, seed=seed))
