@@ -18,7 +18,7 @@ from ullage.ports import Sink, Source
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("none.mcap", "no such file or folder.*mcap.*live: ros2:"), ("x4:/dev/ttyACM0", "live x4 is not part of this"),
+        ("none.mcap", "no such file or folder.*mcap.*live: ros2:"), ("x4:/dev/nothing", "no such device.*an X4 module"),
         ("x4:a?b", "cannot read the options 'b'"), ("x4:a?b=1&b=2", "option 'b' comes twice"),
     ],
 )  # fmt: skip

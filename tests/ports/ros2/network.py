@@ -43,6 +43,7 @@ class Network:
         there = dict(os.environ) | {
             "PYTHONPATH": str(ROOT / "src"), "ROS_DOMAIN_ID": str(self.domain), "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1",
+            "FASTDDS_DEFAULT_PROFILES_FILE": str(ROOT / "integrations" / "ros2" / "fastdds_discovery.xml"),
         } | extra  # fmt: skip
         started = subprocess.Popen(
             [*self.prefix, str(self.python), *command], env=there, text=True, cwd=cwd,
