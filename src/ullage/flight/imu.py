@@ -26,7 +26,7 @@ class ImuSpec(Spec):
     The data sheet gives the densities and the offset of the gyroscopes. It gives 20 mg for the accelerometers, of which
     the calibration in six positions that autopilots ask for leaves the drift with temperature: 0.2 mg/K over 25 K. It
     gives no random walk: that of the gyroscopes changes them by 2 deg/h in 100 s, that of the accelerometers by 1 mg in
-    1000 s.
+    1000 s. Densities count as two-sided, sigma being density times sqrt(rate): 3 dB more than one-sided ones.
     """
 
     rate_hz: float = Field(200.0, gt=1, le=10_000, description="readings a second")

@@ -115,6 +115,8 @@ def test_what_is_no_radar_is_said_in_one_line(tmp_path, x4, monkeypatch):
         ul.open(f"x4:{x4.path}?fps=100&iterations=64&pulses_per_step=87")
     with pytest.raises(InputError, match=r"rf at 7.29e\+09 Hz.*baseband at"):
         ul.open(f"x4:{x4.path}?output=rf")
+    with pytest.raises(InputError, match=r"stagger_div is 17.*one pulse interval"):
+        ul.open(f"x4:{x4.path}?stagger_div=17")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind(("127.0.0.1", 0))
         with pytest.raises(InputError, match="no answer when asked for a pause"):

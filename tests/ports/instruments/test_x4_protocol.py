@@ -53,6 +53,8 @@ def test_garbage_and_lost_ends_cost_one_packet_each(garbage, kept):
 
 
 @given(st.binary(max_size=400))
-def test_any_bytes_are_read_without_an_error(data):
-    for body in mcp.Unpacker().feed(data):
-        mcp.floats_of(body)
+def test_of_any_bytes_no_more_come_out_than_went_in(data):
+    bodies = mcp.Unpacker().feed(data)
+    assert sum(map(len, bodies)) <= len(data)
+    for found in map(mcp.floats_of, bodies):
+        assert found is None or 4 * len(found.values) <= len(data)

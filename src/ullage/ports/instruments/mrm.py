@@ -105,11 +105,7 @@ class MrmRadar:
         except OSError as error:
             allowed = "the radar's address"
             raise InputError(f"cannot be reached: {error.strerror}", where=self.place, allowed=allowed) from None
-        try:
-            self._set_up()
-        except (OSError, InputError):
-            self.close()
-            raise
+        self._set_up()
 
     def _set_up(self) -> None:
         spec, own = self._wanted, self._options
@@ -117,21 +113,8 @@ class MrmRadar:
         bins = GROUP * math.ceil(spec.bins / GROUP)
         start_ps = round((2 * spec.range_start_m / C0 + LEAD_S) * 1e12)
         stop_ps = start_ps + math.floor(bins * STEP_S * 1e12)
-        unused = (0,) * 8
-        config = CONFIG.pack(
-            0,
-            0,
-            own.node,
-            start_ps,
-            stop_ps,
-            RESOLUTION,
-            self._integration,
-            *unused,
-            ANTENNAS,
-            own.gain,
-            own.channel,
-            0,
-        )
+        head, unused = (0, 0, own.node, start_ps, stop_ps, RESOLUTION, self._integration), (0,) * 8
+        config = CONFIG.pack(*head, *unused, ANTENNAS, own.gain, own.channel, 0)
         self._ask(SET_CONFIG, config[4:], f"ranges from {spec.range_start_m:g} m and {2**self._integration} pulses")
         told = CONFIG.unpack_from(self._ask(GET_CONFIG, b"", "its settings", status=False))
         self.spec = spec.but(range_start_m=C0 / 2 * (told[3] * 1e-12 - LEAD_S), bins=bins)

@@ -10,6 +10,7 @@ import socket
 import struct
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from typing import Literal, get_args
 
@@ -58,7 +59,7 @@ def swing(spec: RadarSpec) -> np.ndarray:
     return np.asarray(simulate(scenes.sphere(radius_m=0.3, distance_m=SPHERE_M), path, spec, seed=1).samples)
 
 
-class Simulated:
+class Simulated(ABC):
     """A thread that answers requests and sends frames when they are due.
 
     Args:
@@ -103,14 +104,17 @@ class Simulated:
         """Return packets of which a part is lost."""
         return packets[:-1]
 
+    @abstractmethod
     def _answer(self, wait_s: float) -> None:
-        raise NotImplementedError
+        """Answer what is asked; wait no longer than this [s]."""
 
+    @abstractmethod
     def _frame(self, number: int) -> list[bytes]:
-        raise NotImplementedError
+        """Return a frame as it goes over the line, in pieces."""
 
+    @abstractmethod
     def _send(self, packets: Iterable[bytes]) -> None:
-        raise NotImplementedError
+        """Put pieces on the line."""
 
     def wait(self) -> None:
         """Wait until it is closed."""

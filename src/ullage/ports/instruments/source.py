@@ -60,6 +60,19 @@ class Instrument(Protocol):
         """Return what it says of itself, for the end of a run."""
 
 
+def begin(instrument: Instrument) -> None:
+    """Start an instrument, and let go of it where that fails.
+
+    Raises:
+        InputError: as its `start`.
+    """
+    try:
+        instrument.start()
+    except (OSError, InputError):
+        instrument.close()
+        raise
+
+
 class InstrumentOptions(LiveOptions):
     """Options of every instrument; all others are fields of its RadarSpec."""
 
@@ -107,7 +120,7 @@ class InstrumentSource(LiveSource):
         self._inbox: Inbox[Scan | str] = Inbox(self.counters, lag_s=options.lag_s)
         self._clock, self._last_ns, self._first_ns = InstrumentClock(), 0, 0
         self._closed = threading.Event()
-        instrument.start()
+        begin(instrument)
         self._thread = threading.Thread(target=self._receive, name=self.where, daemon=True)
         self._thread.start()
 
@@ -143,7 +156,7 @@ class InstrumentSource(LiveSource):
         self._instrument.close()
         while not self._closed.wait(RETRY_S):
             try:
-                self._instrument.start()
+                begin(self._instrument)
             except (OSError, InputError):
                 continue
             self._inbox.put(f"{self.where}: measures again")

@@ -83,6 +83,8 @@ class X4Module:
             raise InputError(
                 f"{spec.output} at {spec.center_hz:g} Hz", where=self.place, allowed=f"baseband at {known} Hz"
             )
+        if spec.stagger_div is not None:
+            raise InputError(f"stagger_div is {spec.stagger_div}", where=self.place, allowed="none: one pulse interval")
         self._serial: Any = need("serial", extra="instruments")
         self._line: Any = None
         self._unpacker = mcp.Unpacker()
@@ -98,11 +100,7 @@ class X4Module:
         except (OSError, ValueError) as error:
             raise InputError(_why_not(error), where=self.place, allowed=_present()) from None
         self._unpacker, self._counter = mcp.Unpacker(), None
-        try:
-            self._set_up()
-        except (OSError, InputError):
-            self.close()
-            raise
+        self._set_up()
 
     def _set_up(self) -> None:
         spec = self._wanted

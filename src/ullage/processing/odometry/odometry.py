@@ -179,7 +179,7 @@ _RECENT = 40  # frames over which innovations are judged
 
 
 class Odometry:
-    """Poses of the body as frames and inertial readings come.
+    """Poses of the body as frames and inertial readings come; their sigmas fit in rooms only, as those of `odometry`.
 
     Args:
         start: its first pose counts; None: the origin, heading along x.
@@ -634,7 +634,8 @@ def odometry(
 ) -> OdometryResult:
     """Estimate the poses of the body from its radars and inertial unit.
 
-    Neither poses nor truth of the frames are read.
+    Neither poses nor truth of the frames are read. The sigmas fit in rooms only: in a hold the poses erred by more than
+    ten sigma, and were not said to be lost.
 
     Args:
         frames: of one radar or several on one body.
