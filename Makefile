@@ -64,9 +64,11 @@ mutants: $(VENV)/.dev
 	$(BIN)/python tools/mutants.py $(MUTANTS)
 
 # an exception, a hang or runaway memory is a finding: its input lies in fuzz-findings/, and make fails
+# (RUNS=N: so many inputs for each reader, the same each time)
 SECONDS ?= 3600
+RUNS ?= 0
 fuzz: $(VENV)/.fuzz
-	$(BIN)/python tests/fuzz/fuzz.py --seconds $(SECONDS) --jobs 2
+	$(BIN)/python tests/fuzz/fuzz.py --seconds $(SECONDS) --runs $(RUNS) --jobs 2
 
 $(VENV)/.fuzz: $(VENV)/.dev requirements-fuzz.lock
 	$(call install,--require-hashes -r requirements-fuzz.lock)

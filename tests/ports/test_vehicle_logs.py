@@ -96,8 +96,9 @@ def test_a_missing_library_is_named_with_its_extra(radar: Path) -> None:
 def test_fixes_are_east_north_up_of_a_datum(radar: Path) -> None:
     known = flown()
     damaged = logs.sentence(5.0, np.zeros(3)).replace("GPGGA,0", "GPGGA,1")
-    (radar.parent / "track.nmea").write_text("$GPRMC,x\n" + logs.nmea(known) + damaged)
-    with pytest.warns(ul.UllageWarning, match="1 GGA sentences cannot be read"):
+    infinite = "$GPGGA,0001inf,3330.0000000,S,07015.0000000,W,4,12,0.7,500,M,31.5,M,,\n"  # seconds past any integer
+    (radar.parent / "track.nmea").write_text("$GPRMC,x\n" + logs.nmea(known) + damaged + infinite)
+    with pytest.warns(ul.UllageWarning, match="2 GGA sentences cannot be read"):
         got = track_of(ul.open(radar.parent, datum="-33.5,-70.25,520"))
     assert len(got) == len(known)
     assert_same(got, known, metres=2e-3, turned=False)

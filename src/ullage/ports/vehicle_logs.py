@@ -182,7 +182,7 @@ def _fix(line: str) -> Fix | tuple[()] | None:
         t_ns = (int(clock[:2]) * 3600 + int(clock[2:4]) * 60) * 1_000_000_000 + round(float(clock[4:]) * 1e9)
         lat, lon = (float(text[:size]) + float(text[size:]) / 60 for text, size in ((cells[2], 2), (cells[4], 3)))
         height = float(cells[9]) + float(cells[11] or 0)
-    except (ValueError, IndexError):
+    except (ValueError, IndexError, OverflowError):  # infinite seconds have no nanoseconds
         return None
     values = (lat * (-1 if cells[3] == "S" else 1), lon * (-1 if cells[5] == "W" else 1), height)
     good = abs(values[0]) <= 90 and abs(values[1]) <= 180 and abs(height) < MOST_M and 0 <= t_ns < DAY_NS
