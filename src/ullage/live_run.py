@@ -43,6 +43,8 @@ LATE_S = 1.0
 """A map that is behind by more makes `/diagnostics` a warning [s]."""
 SWITCH_S = 0.001
 """Longest that a thread keeps Python's lock while another one wants it; Python's own 5 ms add up [s]."""
+GATHER_S = 0.25
+"""Files take what came in so long at once, and so do slow stages beside obstacles: single frames cost much more [s]."""
 END_S = 5.0
 """How long the source may take to end [s]."""
 
@@ -131,6 +133,7 @@ class _SinkThread:
         self.queue: Inbox[_Piece] = Inbox(counters, lag_s=lag_s, received=False)
         self.error: BaseException | None = None
         self._closing = False
+        self._gathers = getattr(sink, "gathers", False)
         self._thread: threading.Thread | None = None
         if not getattr(sink, "main_thread", False):
             self._thread = threading.Thread(target=self._run, name=f"ullage {self.name}", daemon=True)
@@ -142,11 +145,13 @@ class _SinkThread:
 
     def write_waiting(self, timeout_s: float = 0.0) -> None:
         """Give the sink what waits."""
-        while (found := self.queue.get(timeout_s)) is not None:
-            self.sink.write(found.item)
+        found = self.queue.get(timeout_s)
+        while found is not None:
+            item, after = _joined(found, self.queue) if self._gathers else (found.item, None)
+            self.sink.write(item)
             if found.came_s:
                 self._sent(found.item, found.came_s)
-            timeout_s = 0.0
+            found = after or self.queue.get(0.0)
 
     def finish(self) -> None:
         """Give the sink all that waits, however old, and end the thread."""
@@ -160,7 +165,9 @@ class _SinkThread:
         try:
             while True:
                 closing = self._closing
-                self.write_waiting(0.0 if closing else POLL_S)
+                if self._gathers and not closing:
+                    time.sleep(GATHER_S)
+                self.write_waiting(0.0 if closing or self._gathers else POLL_S)
                 if closing:
                     return
         except BaseException as error:  # raised in the main thread
@@ -191,13 +198,15 @@ class LiveLoop:
         if takers and not self._first:
             self._first = [ObstacleStage()]
         self._urgent = bool(self._first)
+        if self._urgent and (trial := getattr(source, "trial", {})):
+            list(ObstacleStage().update(trial))  # thresholds and kernels take a second the first time
         self._sends = any(getattr(sink, "sends", False) for sink in sinks)
         self._sink_threads = [_SinkThread(sink, self.counters, self._lag_s, self._noting(sink)) for sink in sinks]
         self.interrupted = False
         self._received = threading.Event()  # no more frames come
         self._abandoned = False
         self._error: BaseException | None = None
-        self._held: Chunk | None = None  # does not go with the piece before it
+        self._held: _Piece | None = None  # does not go with the piece before it
         self._working_s: float | None = None  # when the piece came that the slow stages have
         self._newest_ns = 0
         self._done_ns: int | None = None
@@ -323,17 +332,13 @@ class LiveLoop:
             if getattr(thread.sink, "main_thread", False):
                 thread.write_waiting()
         self._working_s = None
-        if (held := self._held) is None:
-            if (found := self._backlog.get(POLL_S)) is None:
-                return None
-            self._working_s, held = found.came_s, found.item
-        chunks, self._held = [held], None
-        while len(chunks) < TOGETHER and (after := self._backlog.get(0.0)) is not None:
-            if not _go_together(chunks[-1], after.item):
-                self._held = after.item
-                break
-            chunks.append(after.item)
-        return chunks[0] if len(chunks) == 1 else gathered(chunks)
+        if (found := self._held or self._backlog.get(POLL_S)) is None:
+            return None
+        self._working_s = found.came_s
+        if self._urgent:
+            time.sleep(max(0.0, found.came_s + GATHER_S - time.monotonic()))
+        chunk, self._held = _joined(found, self._backlog)
+        return chunk
 
     def _done(self, chunk: Chunk) -> None:
         self._done_ns = max(int(part.t_ns[-1]) for part in chunk.values())
@@ -390,6 +395,17 @@ class LiveLoop:
             self._backlog.lost, unsent, left_out_s, self._most_behind_s, len(self._delays), self._delays.within_s(0.5),
             self._delays.within_s(0.99), self._ages.within_s(0.99),
         )  # fmt: skip
+
+
+def _joined(first: _Piece, queue: Inbox[_Piece]) -> tuple[Any, _Piece | None]:
+    """Return an item, frames with those that wait behind them; and the next piece, where it does not go with them."""
+    items, after = [first.item], None
+    while isinstance(first.item, dict) and len(items) < TOGETHER and (after := queue.get(0.0)) is not None:
+        if not (isinstance(after.item, dict) and _go_together(items[-1], after.item)):
+            break
+        items.append(after.item)
+        after = None
+    return items[0] if len(items) == 1 else gathered(items), after
 
 
 def _go_together(before: Chunk, after: Chunk) -> bool:

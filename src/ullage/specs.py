@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextvars import ContextVar
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, get_args
 
@@ -119,8 +120,12 @@ class MountSpec(Spec):
 
     def body_from_sensor(self) -> NDArray[np.float64]:
         """The (4, 4) transform from sensor to body."""
-        angles = np.radians([self.roll_deg, self.pitch_deg, self.yaw_deg])
-        return transform(self.position_m, angles)
+        return _mounted(self.position_m, (self.roll_deg, self.pitch_deg, self.yaw_deg)).copy()
+
+
+@lru_cache(maxsize=256)  # live radars ask for it with every frame
+def _mounted(position_m: Vector, rpy_deg: Vector) -> NDArray[np.float64]:
+    return transform(position_m, np.radians(rpy_deg))
 
 
 class AntennaSpec(Spec):

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from ullage.grids import OccupancyMap
 
@@ -26,6 +26,7 @@ class MapSaver:
         draw: draws the first picture of a run that takes long.
     """
 
+    gathers: ClassVar[bool] = True
     folder: Path
     every_s: float = EVERY_S
     draw: Callable[[OccupancyMap], None] | None = None

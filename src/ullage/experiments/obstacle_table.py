@@ -6,7 +6,7 @@ import csv
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, ClassVar, TextIO
 
 from ullage.data import Metric
 from ullage.errors import InputError
@@ -46,6 +46,7 @@ class ObstacleTable:
         folder: of the run.
     """
 
+    gathers: ClassVar[bool] = True
     folder: Path
     _found: dict[str, _Summary] = field(default_factory=dict)
     _file: TextIO | None = None

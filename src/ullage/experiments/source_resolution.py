@@ -276,6 +276,7 @@ class _Begun:
         self._source, self._rest = source, source.stream()
         self.lag_s: float | None = getattr(source, "lag_s", None)
         self.passing: Passing | None = getattr(source, "passing", None)
+        self.trial: dict[str, Frames] = getattr(source, "trial", {})
         self.first: dict[str, Frames] = next(self._rest, {}) if wait else {}
 
     def stream(self) -> Iterator[dict[str, Frames]]:

@@ -107,6 +107,8 @@ class McapSink(Sink):
         InputError: it exists already, or cannot be written.
     """
 
+    gathers = True
+
     def __init__(self, path: str | Path, *, overwrite: bool = False, profile: bool = True) -> None:
         self.path = Path(path)
         if self.path.suffix.lower() != ".mcap":

@@ -188,7 +188,10 @@ class CosimulationSource(UnboundedSource):
         self._offset_ns = 0  # added to the simulator's clock
         self._done_ns = -1  # frames exist up to this time
         self._gap = False  # the last poses were left out
-        self._radars.advance(0, scene.bounds.mean(0), (0, 0, 0, 1))  # loads and compiles while nobody waits
+        middle = np.tile(scene.bounds.mean(0), (2, 1))
+        frame_ns = round(1e9 / self._fastest_hz)  # a second frame: it may have another pulse interval
+        self.trial = self._radars.advance([0, frame_ns], middle, np.tile((0.0, 0.0, 0.0, 1.0), (2, 1)))
+        """Frames of before the first pose: making and using them loads and compiles while nobody waits."""
         self._radars.reset()
         self._feed = join()
         self._count_with(getattr(self._feed, "counters", None) or Counters(), topic)

@@ -33,6 +33,8 @@ class ZarrSink(Sink):
         InputError: it exists already, or cannot be written.
     """
 
+    gathers = True
+
     def __init__(self, path: str | Path, *, overwrite: bool = False) -> None:
         zarr: Any = need("zarr", extra="zarr")
         self.path = Path(path)

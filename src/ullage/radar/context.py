@@ -135,12 +135,12 @@ def _reflection(context: RadarContext) -> Reflection:
     return Reflection(context.gamma, context.lag)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def _pulse_grid(context: RadarContext) -> PulseGrid:
     return PulseGrid(context.pulse.omega, context.first_m * 2 / C0, context.pulse.step_s, context.fold_s)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def _antennas(context: RadarContext, pair: AntennaPair) -> Antennas:
     return Antennas(pair.origins[None], pair.frames[None], pair.fields[None], context.table,
                     context.spec.antenna.kind == "isotropic", np.array([pair.factor], complex))  # fmt: skip
@@ -155,7 +155,7 @@ def radar_context(scene: Scene, spec: RadarSpec, *, seed: int = 0, edges: bool =
     return _bench(prepare(scene), spec, seed, edges)
 
 
-@lru_cache(maxsize=8)  # tracks come in pieces
+@lru_cache(maxsize=32)  # tracks come in pieces; several radars, each of one or two pulse intervals
 def _bench(world: Prepared, spec: RadarSpec, seed: int, edges: bool) -> RadarContext:
     pulse = tabulate(spec)
     pad = pulse.half + 4

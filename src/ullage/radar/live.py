@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ullage import checks
 from ullage.arrays import Floats, Longs
-from ullage.data import Frames
+from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.radar.receiving import Fidelity, Receiving
 from ullage.radar.warmup import warm_up
@@ -99,13 +99,14 @@ class LiveRadars:
             InputError: the clock does not rise (`reset` first), or a pose is no pose; nothing of it is taken in then.
         """
         poses = self._with_last(*_checked(t_ns, position, quat_xyzw))
-        jobs = {}
+        jobs, bodies = {}, dict[bytes, Trajectory]()
         for name in self.sensors:
             first = self._given[name]
             due = self._due(name, int(poses[0][-1]))
             if len(due):
                 self._given[name] = first + len(due)
-                body = between(poses, due)
+                body = bodies.get(due.tobytes()) or between(poses, due)  # radars of one rate share it
+                bodies[due.tobytes()] = body
                 jobs[name] = self._pool.submit(self._work.samples, name, body, first_frame=first), body
         return {name: self._work.frames(name, job.result(), body) for name, (job, body) in jobs.items()}
 

@@ -7,6 +7,7 @@ To add one, write a class as `EchoModel` and list it here, or in another package
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -82,9 +83,15 @@ class Physical:
             clean = np.zeros((len(truth), spec.bins), np.complex64)
             for rows, div in ((~odd, spec.prf_div), (odd, spec.stagger_div)):
                 if rows.any():
-                    clean[rows] = along(truth[np.flatnonzero(rows)], spec.but(prf_div=div, stagger_div=None))
+                    clean[rows] = along(truth[np.flatnonzero(rows)], _of_interval(spec, div))
             clean = clean.real.copy() if spec.output == "rf" else clean
         return receive(clean, spec, seed=seed, first_frame=first_frame)
+
+
+@lru_cache(maxsize=64)
+def _of_interval(spec: RadarSpec, prf_div: int) -> RadarSpec:
+    """The radar with one pulse interval."""
+    return spec.but(prf_div=prf_div, stagger_div=None)
 
 
 class Rays:

@@ -40,6 +40,7 @@ class Receiving:
         self.sensors = {name: self.model.sensor(spec) for name, spec in sensors.items()}
         self.scene, self.fidelity, self.max_bounces, self.seed = scene, fidelity, max_bounces, seed
         self._made = SimulatedFrom(scene, max_bounces, seed)
+        self._paths: dict[str, tuple[Trajectory, Trajectory]] = {}  # of body and radar, as last asked for
 
     def samples(self, name: str, body: Trajectory, *, first_frame: int = 0) -> Samples:
         """What one radar receives along a piece of the body's track (n, b).
@@ -49,8 +50,7 @@ class Receiving:
             body: true poses, one a frame.
             first_frame: number of the first frame, which keys its noise.
         """
-        spec = self.sensors[name]
-        truth = body.mounted(spec.mount.body_from_sensor())
+        spec, truth = self.sensors[name], self._truth(name, body)
         return self.model.samples(truth, spec, seed=sensor_seed(self.seed, name), first_frame=first_frame)
 
     def frames(self, name: str, samples: Samples, body: Trajectory, *, believed: Trajectory | None = None) -> Frames:
@@ -63,12 +63,19 @@ class Receiving:
             believed: poses as navigation has them, at the same times.
         """
         spec = self.sensors[name]
-        mount = spec.mount.body_from_sensor()
-        truth = body.mounted(mount)
-        poses = truth if believed is None else believed.mounted(mount)
+        truth = self._truth(name, body)
+        poses = truth if believed is None else believed.mounted(spec.mount.body_from_sensor())
         return Frames(
             samples, spec.range_m, truth.t_ns, spec, poses, truth, name, self.model.unit, simulated=self._made,
         )  # fmt: skip
+
+    def _truth(self, name: str, body: Trajectory) -> Trajectory:
+        """Return the path of a radar; live, each piece of track is asked for twice and is a frame long."""
+        last, truth = self._paths.get(name, (None, body))
+        if last is not body:
+            truth = body.mounted(self.sensors[name].mount.body_from_sensor())
+            self._paths[name] = body, truth
+        return truth
 
 
 def sensor_seed(seed: int, name: str) -> int:

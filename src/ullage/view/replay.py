@@ -13,7 +13,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,6 +45,7 @@ UNKNOWN_CELL, FREE_CELL, OCCUPIED_CELL, AMBIGUOUS_CELL = range(4)
 class MapHistory:
     """A sink that keeps at most `most` maps and `most_bytes` bytes of a run, evenly over time."""
 
+    gathers: ClassVar[bool] = True
     most: int = 120
     most_bytes: int = 64_000_000
     _maps: list[tuple[float, OccupancyMap]] = field(default_factory=list)
