@@ -82,11 +82,14 @@ class SampledFrames:
         for name, part in chunk.items():
             stride, seen = self._stride.setdefault(name, 1), self._seen.get(name, 0)
             kept = self._kept.setdefault(name, [])
-            # a copy each: a view would keep the whole chunk
-            kept += [part[np.array([i])] for i in range(-seen % stride, len(part), stride)]
+            rows = np.arange(-seen % stride, len(part), stride)
+            if len(rows):
+                kept.append(part[rows])  # a copy: a view would keep the whole chunk
             self._seen[name] = seen + len(part)
-            if len(kept) > self.most:
-                self._kept[name], self._stride[name] = kept[::2], 2 * stride
+            while sum(map(len, self._kept[name])) > self.most:
+                whole = joined(self._kept[name])
+                self._kept[name] = [whole[np.arange(0, len(whole), 2)]]
+                self._stride[name] *= 2
         return ()
 
     def finish(self) -> Iterable[Any]:
