@@ -109,11 +109,11 @@ def test_slow_radars_raise_no_alarm(frames: dict[str, Frames]) -> None:
 
 
 def test_a_map_leaves_out_what_was_not_received(frames: dict[str, Frames]) -> None:
-    grid = ul.Grid.covering(ROOM.bounds, 0.2, margin_m=0.5)
-    without = ul.map_occupancy({name: part for name, part in frames.items() if name != "left"}, grid)
-    dead = replace(frames["left"], samples=noise_only(frames["left"]).astype(np.complex64))
+    grid, some = ul.Grid.covering(ROOM.bounds, 0.2, margin_m=0.5), {name: part[:40] for name, part in frames.items()}
+    without = ul.map_occupancy({name: part for name, part in some.items() if name != "left"}, grid)
+    dead = replace(some["left"], samples=noise_only(some["left"]).astype(np.complex64))
     with pytest.warns(UllageWarning, match=r"left: deaf from 0\.0 s.*left out"):
-        omap = ul.map_occupancy(frames | {"left": dead}, grid)
+        omap = ul.map_occupancy(some | {"left": dead}, grid)
     np.testing.assert_array_equal(omap.percent, without.percent)
 
 

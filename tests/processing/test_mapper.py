@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.data import Frames, Trajectory
+from ullage.data import Trajectory
 from ullage.geometry import rpy_quat
 from ullage.grids import AMBIGUOUS
-from ullage.processing.occupancy import Mapper
 from ullage.world.scene import Scene
 
 HALL = ul.scenes.room((8.0, 6.0, 40.0))
@@ -89,7 +88,8 @@ def test_range_alone_carries_the_map_where_there_is_no_phase(flight):
     assert got["accuracy_p90"] <= 0.22
 
 
-@pytest.mark.parametrize(("noise_m", "least"), [pytest.param(0.003, 0.85, marks=pytest.mark.slow), (0.01, 0.72)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("noise_m", "least"), [(0.003, 0.85), (0.01, 0.72)])
 def test_noisy_poses_cost_little(flight, noise_m, least):
     rng = np.random.default_rng(3)
     shift = rng.normal(0, noise_m, (len(flight["front"]), 3))
@@ -97,37 +97,6 @@ def test_noisy_poses_cost_little(flight, noise_m, least):
         n: moved(f, Trajectory(f.t_ns, f.believed.position + shift, f.believed.quat_xyzw)) for n, f in flight.items()
     }
     assert score(ul.map_occupancy(noisy, GRID), flight)["f1"] >= least
-
-
-def test_hovering_adds_nothing(flight, hall_map):
-    mapper = Mapper(GRID)
-    mapper.update(flight)
-    extra, rng, still = 400, np.random.default_rng(5), {}
-    jitter = rng.normal(0, 0.002, (extra, 3))
-    for name, f in flight.items():
-        last, shape = f.believed[-1:], (extra, f.samples.shape[1])
-        t_ns = f.t_ns[-1] + (np.arange(extra) + 1) * 40_000_000
-        poses = Trajectory(t_ns, last.position + jitter, np.tile(last.quat_xyzw, (extra, 1)))
-        noise = 5e-6 * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
-        still[name] = Frames(f.samples[-1:] + noise, f.range_m, t_ns, f.spec, poses=poses, sensor=name)
-    mapper.update(still)
-    mapper.finish()
-    before, after = score(hall_map, flight), score(mapper.map(), flight)
-    assert abs(after["f1"] - before["f1"]) < 0.005
-    assert after["false_occupied"] <= before["false_occupied"]
-    assert after["surface_declared_free"] <= before["surface_declared_free"] + 0.002
-
-
-def test_pieces_give_the_map_of_the_whole_and_every_change_is_announced(flight, hall_map):
-    mapper, patched = Mapper(GRID), np.full(GRID.shape, -1, np.int8)
-    for start in range(0, len(flight["front"]), 60):
-        mapper.update({name: f[start : start + 60] for name, f in flight.items()})
-        for (row, column), values in mapper.changed():
-            patched[row : row + len(values), column : column + values.shape[1]] = values
-        np.testing.assert_array_equal(patched, mapper.map().percent)
-    assert not mapper.changed(), "nothing came since"
-    mapper.finish()
-    np.testing.assert_array_equal(mapper.map().percent, hall_map.percent)
 
 
 def test_floor_and_ceiling_leave_no_ring_around_the_flight(flight):
@@ -156,7 +125,7 @@ def test_a_gap_and_a_jump_are_never_joined(flight):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         assert score(ul.map_occupancy(holed, GRID), flight)["precision"] > 0.8
-    front = flight["front"]
+    front = flight["front"][:140]
     leap = front.believed.position + np.where(np.arange(len(front))[:, None] > 120, [0.0, 2.4, 0.0], 0.0)
     with pytest.warns(ul.UllageWarning, match="jump 1 times, first at frame 121"):
         ul.map_occupancy(moved(front, Trajectory(front.t_ns, leap, front.believed.quat_xyzw)), GRID)
@@ -209,7 +178,7 @@ def test_a_level_flight_frees_nothing_of_a_wall_whose_slope_it_cannot_tell(slope
     normal = np.array([0.0, np.cos(up), np.sin(up)])
     corners = np.array([(-2.5, -1.0), (2.5, -1.0), (2.5, 0.2), (-2.5, 0.2)])
     way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
-    xy = np.stack([np.interp(np.arange(0, way[-1], 0.02), way, corners[:, k]) for k in (0, 1)], axis=1)
+    xy = np.stack([np.interp(np.arange(0, way[-1], 0.05), way, corners[:, k]) for k in (0, 1)], axis=1)
     dx, dy = np.gradient(xy, axis=0).T
     quat = rpy_quat(0 * dx, 0 * dx, np.unwrap(np.arctan2(dy, dx)))
     path = Trajectory(np.arange(len(xy)) * 40_000_000, np.column_stack([xy, 0 * dx]), quat)

@@ -53,8 +53,6 @@ def test_windows_trade_width_for_side_lobes():
     assert scores["taylor"]["pslr_y"].value < -30
     assert scores["hann"]["pslr_y"].value < -28
     assert scores["none"]["width_y_3db"].value < scores["taylor"]["width_y_3db"].value
-    with pytest.raises(ul.InputError, match="no window 'box'"):
-        ul.focus(frames, grid, window="box")
 
 
 def test_quality_of_a_known_shape():
