@@ -258,7 +258,7 @@ def test_what_is_there_is_shown(
         (("run", "walls.yaml", "--force", "--to", "gone/x.yaml"), "no folder gone"),
         (("run", "walls.yaml"), "this run exists.*--force"),
         (("run", "walls.yaml", "-o", "map.step_m=-1"), "map.step_m"),
-        (("run", "walls.yaml", "--do", "dance"), "no task 'dance'"),
+        (("run", "walls.yaml", "--do", "dance"), "no task 'dance'.*detect, image, map, obstacles"),
         (("run", "walls.yaml", "-o", "sensing.preset=x5"), "no radar preset 'x5'"),
         (("run", "walls.yaml", "-o", "sensing.changes={fps: -3}"), "fps"),
         (("run", "walls.yaml", "-o", "world.file=gone.sdf"), "gone.sdf"),

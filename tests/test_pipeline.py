@@ -89,13 +89,14 @@ def test_ctrl_c_ends_a_run_after_the_piece_under_way() -> None:
 
 
 @pytest.mark.usefixtures("ctrl_c")
-def test_the_first_signal_sets_the_flag_and_the_second_raises() -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_the_first_signal_sets_the_flag_and_the_second_raises(number: signal.Signals) -> None:
     with stop_as_ctrl_c(), StopFlag() as stop:
         assert not stop.requested
-        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(number)
         assert stop.requested
         with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(number)
 
 
 def test_every_frame_reaches_the_sink_and_the_map_is_that_of_the_whole() -> None:

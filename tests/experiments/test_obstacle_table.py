@@ -6,14 +6,12 @@ import csv
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from mcap.reader import make_reader
 from typer.testing import CliRunner
 
 import ullage as ul
 from ullage.cli import app
-from ullage.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -68,20 +66,3 @@ def test_distances_in_the_recording_are_a_laser_scan_that_ros_reads(folder: Path
         found = make_reader(file).iter_messages()
         kinds = {schema.name for schema, channel, _ in found if schema and channel.topic.endswith("obstacles")}
     assert kinds == {"sensor_msgs/msg/LaserScan"}
-
-
-def test_an_unknown_task_is_refused_with_those_there_are(recording: Path, tmp_path: Path) -> None:
-    found = CliRunner().invoke(app, ["run", str(recording), "--do", "collide", "--out", str(tmp_path)])
-    assert isinstance(found.exception, InputError)
-    assert "no task 'collide'" in str(found.exception)
-    assert "detect, image, map, obstacles" in str(found.exception)
-
-
-def test_guard_and_stage_are_public_names() -> None:
-    stage = ul.ObstacleStage(expected=ul.Rig.preset("thesis-4").sensors)
-    sectors = stage.sectors(0)
-    assert isinstance(sectors, ul.ObstacleSectors)
-    still = ul.Trajectory.stationary(position_m=(0, 0, 0), yaw_deg=0, n=1)
-    limit = ul.Guard(ul.GuardSpec(), hull_m=0.4).limit((1, 0, 0), sectors, still)
-    assert limit.state == "stop"
-    assert not np.any(limit.velocity)  # no radar has reported yet

@@ -285,7 +285,9 @@ def test_a_killed_run_is_unfinished_readable_and_replaced(place: Path, capsys: p
     again.discard()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, *(pytest.param(one, marks=pytest.mark.slow) for one in (signal.SIGTERM, signal.SIGHUP))]
+)
 def test_ctrl_c_sigterm_and_sighup_leave_a_whole_run(place: Path, number: signal.Signals) -> None:
     process = started("run", "plan.yaml", *LONG, ready=mapped)
     process.send_signal(number)
