@@ -178,7 +178,7 @@ def test_a_level_flight_frees_nothing_of_a_wall_whose_slope_it_cannot_tell(slope
     normal = np.array([0.0, np.cos(up), np.sin(up)])
     corners = np.array([(-2.5, -1.0), (2.5, -1.0), (2.5, 0.2), (-2.5, 0.2)])
     way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
-    xy = np.stack([np.interp(np.arange(0, way[-1], 0.05), way, corners[:, k]) for k in (0, 1)], axis=1)
+    xy = np.stack([np.interp(np.arange(0, way[-1], 0.02), way, corners[:, k]) for k in (0, 1)], axis=1)
     dx, dy = np.gradient(xy, axis=0).T
     quat = rpy_quat(0 * dx, 0 * dx, np.unwrap(np.arctan2(dy, dx)))
     path = Trajectory(np.arange(len(xy)) * 40_000_000, np.column_stack([xy, 0 * dx]), quat)
