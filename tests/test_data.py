@@ -140,6 +140,14 @@ def test_frames_from_arrays_have_the_axis_and_the_rate_of_the_arrays() -> None:
     assert ul.Frames.from_arrays(one["samples"], one["range_m"], one["times_s"]).poses is None
 
 
+def test_stamps_in_nanoseconds_are_recognised_in_arrays() -> None:
+    one = wall()
+    one["times_s"] = np.rint(np.asarray(one["times_s"]) * 1e9)
+    with pytest.warns(ul.UllageWarning, match="times_s: times are taken as nanoseconds"):
+        got = ul.Frames.from_arrays(**one)
+    np.testing.assert_array_equal(got.t_ns, ul.Frames.from_arrays(**wall()).t_ns)
+
+
 @pytest.mark.parametrize("step_m", [0.002, 0.05, 0.5])
 def test_any_range_axis_makes_frames_without_a_preset(step_m: float) -> None:
     axis, noise = 0.3 + step_m * np.arange(64), np.random.default_rng(0).standard_normal((2, 9, 64))

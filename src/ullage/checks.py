@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ullage.arrays import Floats, Longs
-from ullage.errors import InputError, shown
+from ullage.errors import InputError, UllageWarning, shown
 
 _RIGID = 1e-6
 """Largest deviation from a rotation, of any product of two axes."""
+LONGEST_STEP_S = 1e5
+"""Usual time between two frames or poses; a longer one is of a clock in nanoseconds [s]."""
 
 
 def number(name: str, value: Any, where: str, *, above: float = -np.inf, allowed: str = "a finite number") -> float:
@@ -67,6 +71,15 @@ def array(name: str, value: Any, dtype: Any = np.float64) -> NDArray[Any]:
     except (TypeError, ValueError, OverflowError):
         pass
     raise InputError(f"{name} is {shown(value)}", where=name, allowed="an array of numbers")
+
+
+def is_in_nanoseconds(seconds: Floats, where: str | Path) -> bool:
+    """Return whether times given as seconds (n) count nanoseconds, with a warning; infinite and NaN are left out."""
+    steps = np.abs(np.diff(seconds[np.isfinite(seconds)]))
+    if not steps.size or np.median(steps) <= LONGEST_STEP_S:
+        return False
+    warnings.warn(f"{where}: times are taken as nanoseconds, not seconds", UllageWarning, stacklevel=5)
+    return True
 
 
 def times_ns(name: str, value: Any) -> Longs:

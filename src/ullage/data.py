@@ -389,12 +389,13 @@ class Frames(Displayed):
         """
         given, axis = checks.as_given("samples", samples), np.atleast_1d(checks.as_given("range_m", range_m))
         seconds = np.atleast_1d(checks.array("times_s", times_s, np.float64))
-        if seconds.ndim != 1 or not np.isfinite(seconds).all() or abs(seconds).max(initial=0) > MOST_S:
+        unit = 1.0 if checks.is_in_nanoseconds(seconds.ravel(), "times_s") else 1e9
+        if seconds.ndim != 1 or not np.isfinite(seconds).all() or abs(seconds).max(initial=0) * unit > MOST_S * 1e9:
             raise InputError("times_s is not in seconds", where="from_arrays", allowed=f"(n,) within {MOST_S:g} s")
         if axis.ndim != 1 or len(axis) < LEAST_BINS or not np.isfinite(axis).all() or not np.all(np.diff(axis) > 0):
             allowed = f"(bins,) rising and finite [m], {LEAST_BINS} bins or more"
             raise InputError(f"range_m has shape {axis.shape} or does not rise", where="from_arrays", allowed=allowed)
-        t_ns = np.rint(seconds * 1e9).astype(np.int64)
+        t_ns = np.rint(seconds * unit).astype(np.int64)
         signed = not np.iscomplexobj(given) and bool(np.any(given < 0))
         width = min(RadarSpec().bandwidth_hz, C0 / 2 / float(np.median(np.diff(axis))))
         spec = RadarSpec(name="arrays").on_axis(

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.arrays import Floats, Longs
+from ullage.checks import is_in_nanoseconds
 from ullage.data import UNEVEN, Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.ports import containers
@@ -146,9 +147,9 @@ def _times(entries: dict[str, NDArray[Any]], prefix: str, path: Path) -> Longs:
     value, nanoseconds = entries[names[0]], names[0].endswith("_ns")
     if value.ndim != 1 or not value.size or value.dtype.kind not in "iuf" or not np.isfinite(value).all():
         raise InputError(f"{names[0]} is {_kind(value)}", where=path, allowed="a row of finite numbers")
+    nanoseconds = nanoseconds or is_in_nanoseconds(value.astype(float), path)
     if float(np.abs(value.astype(float)).max()) > MOST_S * (1e9 if nanoseconds else 1):
-        allowed = f"within {MOST_S:g} s of zero; nanoseconds as {either[1]}"
-        raise InputError(f"{names[0]} is absurd", where=path, allowed=allowed)
+        raise InputError(f"{names[0]} is absurd", where=path, allowed=f"within {MOST_S:g} s of zero")
     if nanoseconds and value.dtype.kind in "iu":
         return value.astype(np.int64)
     return np.rint(value.astype(float) * (1 if nanoseconds else 1e9)).astype(np.int64)

@@ -9,7 +9,6 @@ Named columns: `t_s` or `t_ns`, `x_m`, `y_m`, `z_m` and, where the attitude is k
 from __future__ import annotations
 
 import csv
-import warnings
 from decimal import Decimal
 from pathlib import Path
 
@@ -17,8 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ullage.arrays import Floats, Longs
+from ullage.checks import is_in_nanoseconds
 from ullage.data import Trajectory
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.ports.intake import Counters, checked_pose, warn
 from ullage.ports.motive import read_tracks
 from ullage.ports.protocol import mend_clock
@@ -29,8 +29,6 @@ PLACE, TURN = ("x_m", "y_m", "z_m"), ("qx", "qy", "qz", "qw")
 TUM = ("t_s", *PLACE, *TURN)
 EUROC = ("t_ns", *PLACE, "qw", "qx", "qy", "qz")
 MOST_M, MOST_S = 1e6, 9e9
-LONGEST_STEP_S = 1e5
-"""Usual time between two poses; a longer one is of a clock in nanoseconds [s]."""
 
 
 def read_bodies(path: str | Path) -> dict[str, Trajectory]:
@@ -139,11 +137,7 @@ def _times(cells: list[str], clock: str, path: Path) -> tuple[Longs, NDArray[np.
     """Exact times [ns], as doubles of seconds since 1970 lose 0.1 microseconds; and which of them are finite."""
     given = np.array([float(cell) for cell in cells])
     timed = np.isfinite(given)
-    steps = np.abs(np.diff(given[timed]))
-    if clock == "t_s" and steps.size and np.median(steps) > LONGEST_STEP_S:
-        warnings.warn(f"{path}: times are taken as nanoseconds, not seconds", UllageWarning, stacklevel=5)
-        clock = "t_ns"
-    unit = 1 if clock == "t_ns" else 1_000_000_000
+    unit = 1 if clock == "t_ns" or is_in_nanoseconds(given, path) else 1_000_000_000
     if abs(given[timed]).max(initial=0) * unit > MOST_S * 1e9:
         raise InputError("times are absurd", where=path, allowed=f"|t| < {MOST_S:g} s")
     exact = [round(Decimal(cell.strip()) * unit) if good else 0 for cell, good in zip(cells, timed, strict=True)]
