@@ -6,6 +6,7 @@ import pstats
 import signal
 import weakref
 from collections.abc import Iterator
+from contextlib import nullcontext
 from cProfile import Profile
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage import cli
 from ullage.experiments.report_collectors import RangeTime, SampledFrames
 from ullage.experiments.ros2_nodes import MappingOptions, mapping_stages
 from ullage.pipeline import DetectStage, Due, ImageStage, InMemorySource, MapStage
@@ -86,6 +88,25 @@ def test_ctrl_c_ends_a_run_after_the_piece_under_way() -> None:
     assert outcome.interrupted
     assert (stage.pieces, outcome.frames) == (2, 14)
     assert kept.closed
+
+
+@pytest.mark.usefixtures("ctrl_c")
+@pytest.mark.parametrize("flagged", [False, True])
+def test_an_error_that_foreign_code_makes_of_ctrl_c_ends_a_command_as_ctrl_c_does(
+    flagged: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stage = Foreign()
+
+    def command(*words: object, **options: object) -> None:
+        with StopFlag(raises_at=1) if flagged else nullcontext():
+            for _ in range(2):
+                stage.update({})
+
+    monkeypatch.setattr(cli, "app", command)
+    with pytest.raises(SystemExit) as ended:
+        cli.main([])
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "ullage: interrupted\n"
 
 
 @pytest.mark.usefixtures("ctrl_c")

@@ -144,6 +144,9 @@ def main(words: list[str] | None = None) -> None:
         if not done.code and any(issubclass(category, DamageWarning) for category in warned.values()):
             sys.exit(2)
         raise
+    except KeyboardInterrupt:  # out of foreign code, by another name
+        typer.echo("ullage: interrupted", err=True)
+        sys.exit(130)
     except UllageError as error:
         if debug:
             raise

@@ -10,6 +10,13 @@ from types import FrameType
 from typing import Any, Self
 
 STOP = (signal.SIGTERM, signal.SIGHUP)
+_raised = threading.Event()
+"""Set where a signal raised an exception within `stop_as_ctrl_c`."""
+
+
+def _raise(number: int, frame: FrameType | None) -> None:
+    _raised.set()
+    raise KeyboardInterrupt
 
 
 class StopFlag:
@@ -48,19 +55,30 @@ class StopFlag:
     def _request(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
         if self.count >= self._raises_at:
-            raise KeyboardInterrupt
+            _raise(number, frame)
 
 
 @contextmanager
 def stop_as_ctrl_c() -> Iterator[None]:
-    """Treat SIGTERM and SIGHUP as Ctrl-C within the block; a signal that the caller ignores (nohup) stays ignored."""
+    """Treat SIGTERM and SIGHUP as Ctrl-C within the block; a signal that the caller ignores (nohup) stays ignored.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C, also where foreign code that it cut made an error of its own of it.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     heeded = [number for number in STOP if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, _as_ctrl_c) for number in heeded}
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        before[signal.SIGINT] = signal.signal(signal.SIGINT, _raise)
+    _raised.clear()
     try:
         yield
+    except Exception as error:
+        if _raised.is_set():
+            raise KeyboardInterrupt from error
+        raise
     finally:
         for number, handler in before.items():
             signal.signal(number, handler if handler is not None else signal.SIG_DFL)
@@ -72,4 +90,4 @@ def _as_ctrl_c(number: int, frame: FrameType | None) -> None:
     if callable(handler):
         handler(number, frame)
     else:  # a shell starts background work with Ctrl-C ignored
-        raise KeyboardInterrupt
+        _raise(number, frame)
