@@ -15,6 +15,7 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.cluster import each_done
+from ullage.ports.instruments.simulated import SimulatedMrm
 
 pytestmark = pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="sockets are listed in /proc on Linux")
 CLOSED_TO_OTHERS = "0A"  # state LISTEN of a TCP socket
@@ -102,6 +103,12 @@ def autopilot() -> Iterator[None]:
 
 
 @contextmanager
+def instrument() -> Iterator[None]:
+    with closing(SimulatedMrm()) as radar, opened(f"mrm:{radar.address}?duration_s=1"):
+        yield
+
+
+@contextmanager
 def gazebo(kind: str) -> Iterator[None]:
     pytest.importorskip("zmq", reason="pyzmq is not installed")
     with closing(ul.sink(kind)):
@@ -112,7 +119,10 @@ STARTED: dict[str, Callable[[], Any]] = {
     "viewer": page,
     "imc over UDP": lambda: opened(f"imc:?{WORLD}&port=0"),
     "imc over TCP": lambda: opened(f"imc:tcp://127.0.0.1:{free_ports()}?{WORLD}"),
+    "imc, sending": lambda: closing(ul.sink("imc:?port=0")),
     "mavlink": autopilot,
+    "mavlink, receiving": lambda: opened(f"mavlink:udpin://127.0.0.1:{free_ports()}?{WORLD}"),
+    "a PulsON radar, and a simulated one": instrument,
     "gazebo": lambda: gazebo("gazebo:"),
     "gazebo classic": lambda: gazebo("gazebo-classic:"),
 }
