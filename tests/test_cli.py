@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -14,10 +15,12 @@ import pytest
 import trimesh
 import typer
 import yaml
+from rich.console import Console
 
 import ullage as ul
 from ullage.cli import app, main
 from ullage.experiments.catalog import Variant, families, scenario_names
+from ullage.view import progress
 
 ROOM = """<?xml version="1.0"?><sdf version="1.9"><world name="w">
 <model name="east"><static>true</static><pose>3 0 1 0 0 0</pose><link name="l"><collision name="c">
@@ -182,16 +185,12 @@ def test_the_library_logs_and_prints_nothing(capsys: pytest.CaptureFixture[str],
 
 
 def test_brackets_in_names_are_names(tmp_path, capsys):
-    from ullage.view import progress
-
     progress.answer(" pip install 'ullage[view]'", mark="none", style="yellow")
     progress.log_report(tmp_path / "odd[red]" / "report.html")
     assert capsys.readouterr().out == f"none pip install 'ullage[view]'\nreport: {tmp_path}/odd[red]/report.html\n"
 
 
 def test_a_job_that_is_retitled_often_tells_little_without_a_terminal(capsys):
-    from ullage.view import progress
-
     with progress.progress_bar("reproducing", total=7.0) as bar:
         for k in range(500):
             bar.retitle(f"hold: {k / 5:.0f} %")
@@ -200,18 +199,22 @@ def test_a_job_that_is_retitled_often_tells_little_without_a_terminal(capsys):
     assert capsys.readouterr().out == "reproducing\nthe first frames are recorded\n"
 
 
-def test_a_run_says_why_its_map_stays_empty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_run_says_at_its_end_why_its_map_stays_empty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, terminal: bool
+) -> None:
+    out = io.StringIO()
+    monkeypatch.setattr(progress, "console", Console(file=out, force_terminal=terminal, width=200))
     (tmp_path / "still.yaml").write_text(
         "{name: still, title: Still, world: {name: ntnu-room}, sensing: {rig: single, fidelity: thesis}, do: [map],"
         " flight: {vehicle: ideal, waypoints: [[0, 0, 1.2], [0.001, 0, 1.2]], hover_s: 1}}"
     )
-    told = Told(("run", "still.yaml"), tmp_path, capsys)
-    assert "No cell of the map is occupied: no radar moves 0.05 m" in told.stdout
+    assert ended(("run", "still.yaml"), tmp_path) == 0
+    _, _, after = out.getvalue().rpartition("drawing figures")
+    assert "\nNo cell of the map is occupied: no radar moves 0.05 m" in after
 
 
 def test_a_job_of_an_hour_writes_few_lines_without_a_terminal_and_says_what_is_left(capsys, monkeypatch):
-    from ullage.view import progress
-
     now = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     with progress.progress_bar("mapping", total=3600.0, unit="s of flight") as bar:

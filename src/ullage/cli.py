@@ -427,6 +427,8 @@ def _print_summary(report: Report) -> None:
     log(f"{outcome.frames} frames of {outcome.duration_s:.0f} s, {factor:.1f} times real time")
     if scores := [f"{key} {report.metrics[key].value:.3f}" for key in MAP_SCORES if key in report.metrics]:
         log(f"map: {', '.join(scores)}")
+    for sentence in report.findings:
+        log(sentence)
     log_report(report.folder / "report.html")
     if report.objects:
         log(found_line(report.objects, report.metrics))

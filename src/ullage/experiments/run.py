@@ -91,6 +91,7 @@ class Report:
     figures: tuple[Path, ...]
     objects: tuple[ObjectOnMap, ...] = ()
     compared: Compared | None = None
+    findings: tuple[str, ...] = ()  # sentences of the report
 
 
 def of_scenario(place: RunFolder, simulated: Simulated) -> Run:

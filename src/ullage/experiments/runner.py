@@ -121,7 +121,7 @@ def _finish(job: Run, outcome: Outcome, log: Log | None) -> Report:
     done = {"state": state, "timing": job.timing, "interrupted": outcome.interrupted}
     write_report(job.folder, origin={**job.place.origin, **done})
     job.place.mark(**done)
-    return Report(job.folder, outcome, metrics, figures, tuple(job.objects), compared)
+    return Report(job.folder, outcome, metrics, figures, tuple(job.objects), compared, tuple(job.findings))
 
 
 def _write_parts(job: Run, outcome: Outcome, metrics: dict[str, Metric], log: Log | None) -> tuple[Path, ...]:
@@ -131,8 +131,6 @@ def _write_parts(job: Run, outcome: Outcome, metrics: dict[str, Metric], log: Lo
     write_json(job.folder / "metrics.json", metric_tree(metrics))
     if log is None:
         return ()
-    for sentence in job.findings:
-        log(sentence)
     log("drawing figures and replay" + (", and flying once more for the comparison" if job.rival else ""))
     figures = _draw(job, outcome)
     keep_replay(job, outcome)
@@ -267,7 +265,8 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
             out["obstacle_p99"] = Metric("obstacle_p99", 1e3 * outcome.live.obstacle_p99_s, "ms")
     if (part := _calibrated(job)) is not None:
         places = job.map.scatterers if job.map is not None else []
-        job.findings, found = verdict(part, maps[-1] if maps else None, places, job.marks, settled=job.settled)
+        words, found = verdict(part, maps[-1] if maps else None, places, job.marks, settled=job.settled)
+        job.findings = [*words, *job.findings]
         out |= {one.name: one for one in found}
     job.findings = [*job.findings, *_why_empty(job, maps)]
     faults = job.health.lines()
