@@ -96,19 +96,16 @@ BUDGET = Section("the node on board", "budget", lambda work, costs: budget.state
 SPEC = RadarSpec.preset("x4m05")
 Series = dict[str, Any]
 PARTS: dict[str, Callable[[], Any]] = {
-    "loss": lambda: speeds.towards_plate(SPEC),
-    "found": lambda: speeds.towards_wire(SPEC),
+    "loss": lambda: speeds.towards_plate(SPEC, speeds.RADIAL[True]),
+    "found": lambda: speeds.towards_wire(SPEC, speeds.RADIAL[True]),
     "image": lambda: speeds.past_wire(SPEC, (0.175, 1.0, 2.0))[0],
-    "scores": lambda: speeds.round_room(SPEC, (0.5, 4.0), seed=1),
+    "scores": lambda: speeds.round_room(SPEC, (0.5, 4.0), seed=1, share=1 / 3),
 }
 
 
 def measured(names: tuple[str, ...] = tuple(PARTS), spoil: Callable[[Patch], None] = lambda _: None) -> Series:
     """Series against speed, from three speeds towards a target and a third of the round."""
-    kept = flights.level_round
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(speeds, "RADIAL", (0.05, 0.25, 0.37))
-        patch.setattr(flights, "level_round", lambda seed: kept(seed)[: len(kept(seed)) // 3])
         spoil(patch)
         return {name: PARTS[name]() for name in names}
 
@@ -155,7 +152,9 @@ def scores_of(rows: tuple[str, ...] = ROWS, spoil: Spoil = lambda frames: frames
     grid, scores = flights.plane_of(scene), {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flights, "received", lambda *a, **k: spoil(kept[0](*a, **k)))
-        patch.setattr(flights, "level_round", lambda seed: kept[1](seed)[: int(share * len(kept[1](seed)))])
+        patch.setattr(
+            flights, "level_round", lambda seed, **k: kept[1](seed, **k)[: int(share * len(kept[1](seed, **k)))]
+        )
         for name, frames, options in methods.cases(SEED, scene, grid):
             if name in rows:
                 omap = methods.mapped(scene, grid, frames, options)

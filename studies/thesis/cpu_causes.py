@@ -65,7 +65,7 @@ def run(work: Workspace) -> None:
     cases: dict[str, tuple[dict[str, Frames], Grid]] = {}
     for name, scenario in ((ROOM, "ntnu-mapping"), (HOLD, "cargo-hold")):
         flight = prepare(find_scenario(scenario))
-        track = flight.flown[:: 40 if work.quick else 20]
+        track = flight.flown[:: 160 if work.quick else 20]
         box = np.stack([np.minimum(flight.scene.bounds[0], track.position.min(0)),
                         np.maximum(flight.scene.bounds[1], track.position.max(0))])  # fmt: skip
         for scene, suffix in ((flight.scene, ""), (Scene.empty(), ", no echoes")):

@@ -35,7 +35,7 @@ def run(work: Workspace) -> None:
         "The cluttered room without near walls and roof, and the path flown.",
     )  # fmt: skip
     seconds = ("", "-again")[: 1 if work.quick else 2]
-    rays = [work.fly(f"cluttered-room{tail}") for tail in seconds]
+    rays = [work.fly(f"cluttered-room{tail}", reads=("map",)) for tail in seconds]
     waves = [] if work.quick else [work.fly(f"cluttered-room-physical{tail}") for tail in seconds]
     marks = np.array([middle_of(rays[0].scene, name) for name in SMALL_THINGS])
     panels, rows = [], []

@@ -35,8 +35,8 @@ def run(work: Workspace) -> None:
         "figures 6.15 to 6.17", "The hold, cut open, and the path flown.",
     )  # fmt: skip
     less = [LEG] if work.quick else []
-    rays = work.fly("cargo-hold", less)
-    waves = work.fly("cargo-hold-physical", less)
+    rays = work.fly("cargo-hold", less, reads=("map",))
+    waves = work.fly("cargo-hold-physical", less, reads=("map",))
     panels, rows = [], []
     for name, flown in (("Elfes, thesis law", rays), ("ullage, physical law", waves)):
         if flown.omap is not None:

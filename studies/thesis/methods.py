@@ -32,9 +32,11 @@ TOLD = "walls given"
 IN_SMALL = (RAYS, EXACT)
 
 
-def cases(seed: int, scene: Scene, grid: Grid) -> Iterator[tuple[str, Recordings, dict[str, Any] | None]]:
+def cases(
+    seed: int, scene: Scene, grid: Grid, *, rate_hz: float = 25.0
+) -> Iterator[tuple[str, Recordings, dict[str, Any] | None]]:
     """Give the rows of the table: name, frames, and method; None for the errorless map."""
-    path = flights.level_round(seed)
+    path = flights.level_round(seed, rate_hz=rate_hz)
     frames = flights.received(scene, path, seed)
     yield ELFES, frames, {"method": "elfes"}
     yield RAYS, flights.received(scene, path, seed, fidelity="thesis"), {"method": "elfes"}
@@ -82,7 +84,7 @@ def run(work: Workspace) -> None:
     panels: list[Panel] = []
     seeds = 1 if work.quick else flights.SEEDS
     for seed in range(seeds):
-        for name, frames, how in cases(seed, scene, grid):
+        for name, frames, how in cases(seed, scene, grid, rate_hz=12.5 if work.quick else 25.0):
             if work.quick and name not in IN_SMALL:
                 continue
             work.log(f"flight {seed + 1} of {seeds}, {name}")

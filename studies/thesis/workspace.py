@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from studies.thesis.results import Results
+from ullage.config import Scenario
 from ullage.data import Frames, Metric, Trajectory, joined
 from ullage.experiments.catalog import find_scenario
 from ullage.experiments.folder import RunFolder
 from ullage.experiments.run import of_scenario
 from ullage.experiments.runner import execute
-from ullage.experiments.simulated import Simulated, prepare
+from ullage.experiments.simulated import Simulated, prepare, radars_and_world
 from ullage.grids import Image, OccupancyMap
 from ullage.world.scene import Scene
 
@@ -90,22 +91,36 @@ class Workspace:
     log: Log
     recordings: Path
     results: Results = field(default_factory=Results)
+    flights: dict[str, Simulated] = field(default_factory=dict)
 
-    def fly(self, name: str, options: Sequence[str] = ()) -> Flown:
+    def prepared(self, scenario: Scenario) -> Simulated:
+        """Load a scenario's world and fly it; scenarios with the same flight share it."""
+        flight = scenario.flight, scenario.world, scenario.navigation, scenario.sensing.rig, scenario.seed
+        key = repr((*flight, scenario.sensing.rate_hz))
+        if key not in self.flights:
+            self.flights[key] = prepare(scenario)
+            return self.flights[key]
+        same = self.flights[key]
+        return replace(same, scenario=scenario, rig=radars_and_world(scenario, same.scene)[0])
+
+    def fly(self, name: str, options: Sequence[str] = (), *, reads: Sequence[str] = ("image", "map")) -> Flown:
         """Run a scenario into its own run folder and keep its frames.
 
         Args:
             name: of a shipped scenario.
             options: `a.b=value` over it.
+            reads: what the experiment reads beside frames: `image`, `map`. A small run makes nothing else.
 
         Raises:
             Interrupted: Ctrl-C.
         """
+        if self.quick and set(reads) != {"image", "map"}:
+            options = [f"do=[{', '.join(('detect', *reads))}]", *options]
         scenario = find_scenario(name, options=options)
         if options:  # the bounds are those of the shipped scenario
             scenario = scenario.but(expect={})
         self.log(f"{name}: flying")
-        simulated = prepare(scenario)
+        simulated = self.prepared(scenario)
         place = RunFolder.of(scenario.name, scenario.digest, root=self.folder / "runs").begin(force=True)
         collector, started = FrameCollector(), time.monotonic()
         total = max(simulated.flown.duration_s, 1e-9)

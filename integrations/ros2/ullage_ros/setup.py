@@ -27,6 +27,8 @@ setup(
         "console_scripts": [
             f"radar_simulator = {NAME}.nodes:radar_simulator",
             f"radar_mapping = {NAME}.nodes:radar_mapping",
+            f"gazebo_server = {NAME}.gazebo:server",
+            f"gazebo_pilot = {NAME}.gazebo:pilot",
         ],
     },
 )

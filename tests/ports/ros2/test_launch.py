@@ -117,6 +117,10 @@ def test_every_launch_file_starts_what_it_says(network: Network, installed: dict
     files = [f"{installed['ULLAGE_LAUNCH']}/{name}" for name in FILES]
     started = result_of(network.start("-c", DESCRIBE, *files, **installed))
     assert started.pop("radars.launch.py") == [["ullage_ros", "radar_simulator"], ["ullage_ros", "radar_mapping"]]
+    gazebo = [["ullage_ros", "gazebo_server"], ["ullage_ros", "gazebo_pilot"]]
+    *nodes, (_, _, radars, *_) = started.pop("gazebo_flight.launch.py")
+    assert nodes == gazebo
+    assert Address.of(radars).scheme == "gazebo"
     for name, commands in started.items():
         scenario = name.partition(".")[0].replace("_", "-")
         address = "ros2:?linger_s=60&pace=1&frame_prefix=&remap="
@@ -152,7 +156,7 @@ def test_radars_on_a_robot_that_others_move_and_the_map_of_what_they_see(
     [
         pytest.param(file.partition(".")[0], marks=[] if file.startswith("ntnu_pole") else pytest.mark.slow)
         for file in FILES
-        if file != "radars.launch.py"
+        if file not in ("radars.launch.py", "gazebo_flight.launch.py")
     ],
 )
 def test_a_scenario_flies_by_itself_and_everything_is_heard(

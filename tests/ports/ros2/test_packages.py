@@ -25,6 +25,7 @@ from ullage.world.library import WORLDS
 from .network import ROOT, Network, result_of
 
 PACKAGES = ROOT / "integrations/ros2"
+RADARS = ("front", "left", "back", "right")
 PUBLIC = (
     ros.CLOUD, ros.GRID, ros.ODOMETRY, ros.TRANSFORMS, ros.MARKERS, ros.RANGE, ros.PICTURE, ros.PATH,
     ros.CLOCK, ros.DIAGNOSTICS,
@@ -77,7 +78,7 @@ def test_launch_files_start_what_there_is() -> None:
             if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "describe"
         ]  # type: ignore[attr-defined]
         assert all(name in scenario_names() for name in names)
-        assert names or file.name == "radars.launch.py"
+        assert names or file.name in ("radars.launch.py", "gazebo_flight.launch.py")
     assert "ntnu-room" in WORLDS  # the default of radars.launch.py
 
 
@@ -113,6 +114,8 @@ def test_what_rviz_and_rqt_look_at_is_what_goes_out() -> None:
         assert topic in TOPICS
         latched = display["Topic"]["Durability Policy"] == "Transient Local"
         assert latched == QUALITIES[TOPICS[topic].quality].kept
+    names = [d["Name"] for d in config["Visualization Manager"]["Displays"]]
+    assert {"Drone", "Map", *(f"{what} {radar}" for what in ("Rays", "Range") for radar in RADARS)} <= {*names}
     perspective = json.loads((PACKAGES / "ullage_ros/config/ullage.perspective").read_text())
     running = ast.literal_eval(perspective["groups"]["pluginmanager"]["keys"]["running-plugins"]["repr"])
     assert set(running) == {
