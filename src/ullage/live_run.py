@@ -26,6 +26,7 @@ from ullage.data import Frames, gathered
 from ullage.ports import encode
 from ullage.ports import schema as ros
 from ullage.ports.intake import Counters, Inbox, LiveOptions
+from ullage.ports.process_load import ProcessLoad
 from ullage.ports.protocol import Passed
 from ullage.ports.publisher import is_present
 from ullage.processing.obstacles import STALE_S, ObstacleSectors, ObstacleStage
@@ -211,6 +212,7 @@ class LiveLoop:
         self._newest_ns = 0
         self._done_ns: int | None = None
         self._most_behind_s = self._status_s = 0.0
+        self._load = ProcessLoad()
         self._reported_lost = 0
         self._on_lag: Callable[[float, int], None] | None = None
 
@@ -361,6 +363,7 @@ class LiveLoop:
             ("frames", str(self._count.frames)),
             ("frames left out", str(lost)),
             ("obstacles: 99 % within [s]", f"{self._delays.within_s(0.99):.3f}"),
+            *self._load.values(),
         ]
         data = encode.diagnostics_message(self._newest_ns, int(late), "ullage: run", text, values)
         self._publish(Passed(self._newest_ns, "/diagnostics", ros.DIAGNOSTICS, data), first=True)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from ullage.data import Frames
 from ullage.ports import encode
 from ullage.ports.intake import Counters
+from ullage.ports.process_load import ProcessLoad
 from ullage.ports.protocol import Passed
 from ullage.ports.schema import DIAGNOSTICS
 from ullage.processing.health import HealthMonitor
@@ -35,6 +36,7 @@ class RadarStatus:
         self._behind_s = self._most_behind_s = 0.0
         self._reported = (0, 0, 0)  # late frames, dropped messages and contacts, as of the last message
         self._given_s = -EVERY_S
+        self._load = ProcessLoad()
 
     def add(self, frames: Mapping[str, Frames], behind_s: float) -> None:
         """Count the frames of one piece.
@@ -75,6 +77,7 @@ class RadarStatus:
         values += [("contacts", str(contacts)), *counters.values()]
         self._most_behind_s = 0.0
         values += [("faulty radars", ", ".join(faults)), ("faults so far", "; ".join(self._health.lines()))]
+        values += self._load.values()
         text = ", ".join([*faults, *causes]) or "simulating"
         data = encode.diagnostics_message(t_ns, 2 if faults else int(bool(causes)), self._name, text, values)
         return Passed(t_ns, TOPIC, DIAGNOSTICS, data)

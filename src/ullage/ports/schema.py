@@ -188,7 +188,7 @@ TOPICS = {
     "/diagnostics": Topic(
         DIAGNOSTICS, "stream",
         "once a second: the sink's pace and frames; what a source received and dropped; of simulated radars on a live "
-        "vehicle the frames simulated, late and dropped, and contacts",
+        "vehicle the frames simulated, late and dropped, and contacts; CPU and memory of each process",
     ),
 }  # fmt: skip
 """What is published, and recorded, by topic: NAME stands for a radar, and / for what has no namespace."""

@@ -12,6 +12,7 @@ from ullage.data import Frames, sensors_of
 from ullage.errors import InputError, UllageWarning
 from ullage.ports import encode
 from ullage.ports import schema as ros
+from ullage.ports.process_load import ProcessLoad
 from ullage.ports.protocol import Item, Sink
 from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_present, on
 from ullage.ports.rate_limiter import LATE_S, RateLimiter, StampOrder
@@ -63,7 +64,7 @@ class Ros2Sink(Sink):
         self._progress = threading.Condition()
         self._error: BaseException | None = None
         self._map_subscribers, self._sent, self._late_s, self._reported_s = 0, 0, 0.0, time.monotonic()
-        self._health = HealthMonitor()
+        self._health, self._load = HealthMonitor(), ProcessLoad()
         self._closing = threading.Event()
         self._thread: threading.Thread | None = threading.Thread(target=self._run, name="ullage ros2", daemon=True)
         self._thread.start()
@@ -161,7 +162,7 @@ class Ros2Sink(Sink):
         values = [("messages a second", f"{rate:.1f}"), ("most behind [s]", f"{late:.3f}")]
         values += [("waiting messages", str(self._messages.qsize()))]
         values += [(f"{topic}: frames", str(count)) for topic, count in self._publisher.counts.items()]
-        values += [("faults so far", "; ".join(self._health.lines()))]
+        values += [("faults so far", "; ".join(self._health.lines())), *self._load.values()]
         level = 2 if faults else int(late >= LATE_S)
         data = encode.diagnostics_message(t_ns, level, f"{self._options.node}: sink", text, values)
         self._peer.send(on("/diagnostics", t_ns, data))

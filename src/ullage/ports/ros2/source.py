@@ -13,6 +13,7 @@ from ullage.ports import encode
 from ullage.ports import schema as ros
 from ullage.ports.intake import PATIENCE_S, Inbox, Log
 from ullage.ports.live import LiveSource
+from ullage.ports.process_load import ProcessLoad
 from ullage.ports.protocol import Passed
 from ullage.ports.publisher import on
 from ullage.ports.ros2.incoming import Incoming
@@ -57,6 +58,7 @@ class Ros2Source(LiveSource):
         self._first_ns: int | None = None
         self._last_ns = 0
         self._searched_s = self._reported_s = 0.0
+        self._load = ProcessLoad()
         self._given_s = time.monotonic()
         for topic, depth in (("/tf", None), ("/tf_static", 100)):
             fixed = topic == "/tf_static"
@@ -207,7 +209,7 @@ class Ros2Source(LiveSource):
         level = 0 if idle < 1.0 + self._options.patience_s else 1 if self._incoming.sensors else 3
         text = "frames come" if level == 0 else self._why_nothing()
         values = [("radars", ", ".join(self.sensors)), ("seconds since the last frame", f"{idle:.1f}")]
-        values += self._incoming.counters.values()
+        values += [*self._incoming.counters.values(), *self._load.values()]
         self._incoming.counters.report()
         t_ns = time.time_ns()
         data = encode.diagnostics_message(t_ns, level, f"{self._options.node}: source", text, values)

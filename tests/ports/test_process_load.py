@@ -1,0 +1,32 @@
+"""CPU and memory of this process, as `/diagnostics` gives them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ullage.ports.intake import Counters
+from ullage.ports.process_load import ProcessLoad, resident_bytes
+from ullage.ports.radar_status import RadarStatus
+from ullage.ports.schema import DIAGNOSTICS, typestore
+
+
+def test_cpu_is_the_share_of_the_time_since_the_last_report():
+    wall, spent = iter((0.0, 2.0, 3.0)), iter((10.0, 11.0, 13.0))
+    load = ProcessLoad(now=lambda: next(wall), cpu=lambda: next(spent))
+    assert [dict(load.values())["CPU [% of a core]"] for _ in range(2)] == ["50", "200"]  # of two cores
+
+
+def test_memory_grows_by_what_is_allocated():
+    before = resident_bytes()
+    held = np.ones(50_000_000, np.uint8)
+    assert 40e6 < resident_bytes() - before < 90e6
+    assert len(held) == 50_000_000
+
+
+def test_the_status_of_simulated_radars_tells_both():
+    passed = RadarStatus("radars", late_s=1.0).message(0, Counters())
+    assert passed is not None
+    told = typestore().deserialize_cdr(passed.data, DIAGNOSTICS).status[0].values
+    found = {pair.key: float(pair.value) for pair in told if pair.key.startswith(("CPU", "memory"))}
+    assert set(found) == {"CPU [% of a core]", "memory [MB]"}
+    assert found["memory [MB]"] > 20
