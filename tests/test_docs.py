@@ -297,3 +297,17 @@ def test_the_page_of_the_reproduction_is_not_written_without_results(tmp_path: P
     with pytest.raises(InputError, match=r"no experiment here .*a folder of `ullage reproduce`"):
         write_docs(tmp_path, tmp_path)
     assert not (tmp_path / "studies").exists()
+
+
+@pytest.mark.parametrize(("page", "chapter"), [("motion.md", "Doppler"), ("onboard.md", "The mapping node on board")])
+def test_a_page_s_table_is_that_of_the_reproduction(page: str, chapter: str) -> None:
+    def numbers(text: str) -> list[list[str]]:
+        rows = [line.split("|")[2:-1] for line in text.splitlines() if line.startswith("| ")]
+        plain = [row for row in rows if all(re.fullmatch(r"[-\d. to]*", cell) for cell in row)]
+        return [re.findall(r"-?\d+\.?\d*", " ".join(row)) for row in plain]
+
+    told = (ROOT / "studies/reproduced.md").read_text().split(f"\n## {chapter}")[1].split("\n## ")[0]
+    there = {float(n) for row in numbers(told) for n in row}
+    table = numbers((DOCS / page).read_text())
+    assert len(table) >= 4
+    assert not [n for row in table for n in row if float(n) not in there]
