@@ -669,7 +669,7 @@ def validate(
 
 @app.command()
 def reproduce(
-    quick: Annotated[bool, typer.Option("--quick", help="Small: five to eight CPU-minutes.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Small: three to four CPU-minutes.")] = False,
     only: Annotated[list[str] | None, typer.Option("--only", help="Just this experiment", metavar="NAME")] = None,
     force: Annotated[bool, typer.Option("--force", help="Do again what is done.")] = False,
     out: Annotated[Path, typer.Option("--out", help="Folder of the results.", metavar="DIR")] = Path("reproduction"),
@@ -687,6 +687,8 @@ def reproduce(
     run_all = study("thesis.reproduce").reproduce
     chosen = study("thesis.plan").wanted(quick, only or [])
     compile_parts()
+    if quick and not only:
+        answer(f": {', '.join(e.name for e in study('thesis.plan').EXPERIMENTS if not e.quick)}", mark="left out")
     with progress_bar("reproducing", total=float(len(chosen))) as bar:
 
         def report_progress(done: int, text: str) -> None:

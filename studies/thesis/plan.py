@@ -37,18 +37,18 @@ class Experiment:
 
 EXPERIMENTS: tuple[Experiment, ...] = (
     Experiment("baseline", "The thesis' method, term by term", "4.2 to 5.3", weight=0.5, small=0.5),
-    Experiment("detection", "Radar object detection", "6.1", weight=5, small=6),
-    Experiment("room", "Mapping the NTNU room", "6.2", weight=4, small=7),
+    Experiment("detection", "Radar object detection", "6.1", weight=5, small=3),
+    Experiment("room", "Mapping the NTNU room", "6.2", weight=4, small=4),
     Experiment("hall", "Mapping the cluttered room", "6.2", weight=8, small=1),
     Experiment("hold", "The cargo hold", "6.3", weight=9, small=2),
-    Experiment("causes", "Causes of the differences", "7.1 to 7.3", weight=4, small=1),
-    Experiment("tables", "Speed, CPU and memory", "tables 6.1 to 6.4", weight=4, small=5.5),
+    Experiment("causes", "Causes of the differences", "7.1 to 7.3", weight=4, small=2),
+    Experiment("tables", "Speed, CPU and memory", "tables 6.1 to 6.4", weight=4, small=1.5),
     Experiment("budget", "The mapping node on board", "table 5.1", weight=4, small=3),
-    Experiment("speeds", "Doppler, speed and frame rate", "7.1", weight=12, small=4),
+    Experiment("speeds", "Doppler, speed and frame rate", "7.1", weight=12, small=1.5),
     Experiment("methods", "Every way of mapping, five flights", "beyond", weight=16, small=1.5),
     Experiment("volumes", "Maps in three dimensions, five flights", "beyond", quick=False, weight=25),
     Experiment("images", "Every way of imaging, five flights", "beyond", weight=2, small=0.5),
-    Experiment("rail", "A real rail beside a simulated one", "real", weight=2, small=1.5),
+    Experiment("rail", "A real rail beside a simulated one", "real", quick=False, weight=9),
     Experiment("rest", "A real X4 at rest beside a simulated one", "real"),
 )
 """In the order in which they are done and reported."""

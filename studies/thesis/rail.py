@@ -51,11 +51,11 @@ def run(work: Workspace) -> None:
         warnings.simplefilter("ignore", UllageWarning)
         source = open_source(folder)
         found = source.frames()
-        every = found if isinstance(found, Frames) else next(iter(found.values()))
-        real = calibrate(every[:: 4 if work.quick else 1])
+        real = calibrate(found if isinstance(found, Frames) else next(iter(found.values())))
     if not isinstance(source, RailSource):
         return
     place = source.reflectors()[0]
+    real = real[:: 2 if work.quick else 1]
     work.log("simulating the rail")
     twin = simulated(real, place)
     compare(work, real, twin, place)

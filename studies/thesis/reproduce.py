@@ -32,7 +32,7 @@ def reproduce(
         out: folder of the results; one folder for each experiment, report.html above them.
         wanted: which.
         recordings: folder of the real recordings; experiments without their recordings are left out.
-        quick: small, five to eight CPU-minutes.
+        quick: small, three to four CPU-minutes; experiments that the plan does not mark as quick are left out.
         fresh: repeat finished experiments.
         jobs: worker processes on this machine; 1: this process; None: one for each core. More than one needs Dask.
         report_progress: called with the number of finished experiments and the current work.
