@@ -123,7 +123,7 @@ class _SinkThread:
     """Gives items to one sink, in a thread of its own unless the sink needs the main one.
 
     Args:
-        sink: takes them.
+        sink: takes them; one whose `gathers` is true, as files are, gets what came in a quarter of a second at once.
         counters: count what is dropped.
         lag_s: the limit of the queue; None: whoever puts must wait.
         sent: called with an item of the front, and when its frame came, once the sink has it.
@@ -339,6 +339,7 @@ class LiveLoop:
         self._working_s = found.came_s
         if self._urgent:
             time.sleep(max(0.0, found.came_s + GATHER_S - time.monotonic()))
+        chunk: Chunk
         chunk, self._held = _joined(found, self._backlog)
         return chunk
 

@@ -92,9 +92,6 @@ class Source(Protocol):
 class Sink(Protocol):
     """Receiver that keeps or shows items."""
 
-    gathers = False
-    """Whether it would rather have a quarter of a second of live frames at once, as files do."""
-
     def write(self, item: Item) -> None:
         """Take one item."""
 
