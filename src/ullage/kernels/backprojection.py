@@ -62,7 +62,7 @@ class _Aimed(NamedTuple):
     weight: NDArray[np.float32]  # of the pattern
 
 
-@inner(nogil=True, fastmath=True, error_model="numpy")
+@inner(fastmath=True, error_model="numpy")
 def _aim(
     offset: tuple[float, float, float],
     step: float,
@@ -118,7 +118,7 @@ def _aim(
         weight[i] = w
 
 
-@loop(nogil=True, fastmath=True, error_model="numpy")
+@loop(fastmath=True, error_model="numpy")
 def backproject_rows(rows: Rows, profiles: Profiles, track: Track, pattern: Pattern, sums: Singles) -> None:
     """Add the echoes of every frame to rows of cells.
 

@@ -66,7 +66,7 @@ def scratch(mirrors: int) -> BeamScratch:
                        np.empty((4, MOST, 3)), np.empty(2, np.int64))  # fmt: skip
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _clipped(outlines: Floats, at: int, count: int, planes: Floats, made: int) -> tuple[int, int]:
     """Keep the part of a closed outline where plane . (x, 1) >= 0 for every plane (Sutherland-Hodgman).
 
@@ -106,7 +106,7 @@ def _clipped(outlines: Floats, at: int, count: int, planes: Floats, made: int) -
     return count, at
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _walls(
     apex: Floats, outlines: Floats, at: int, count: int, normals: Floats, offsets: Floats, p: int, planes: Floats
 ) -> int:
@@ -137,7 +137,7 @@ def _walls(
     return made + 1
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _reached(spheres: Floats, p: int, planes: Floats, made: int, apex: Floats, receiver: Floats, gate: float) -> bool:
     """Return whether the sphere of face p meets the beam and can echo within the gate."""
     x, y, z, radius = spheres[p, 0], spheres[p, 1], spheres[p, 2], spheres[p, 3]
@@ -149,7 +149,7 @@ def _reached(spheres: Floats, p: int, planes: Floats, made: int, apex: Floats, r
     return 0.5 * (math.sqrt(a) + math.sqrt(b)) - radius <= gate
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _emit(target: int, planes: Floats, made: int, faces: EndFaces, outlines: Floats, edges: Floats, at: int) -> int:
     """Write the clipped outline of a face as edges (m, 2, 3) from `at` on; return where it ends."""
     loop_of, loops, starts = faces.loop_of, faces.loops, faces.starts
@@ -172,7 +172,7 @@ def _emit(target: int, planes: Floats, made: int, faces: EndFaces, outlines: Flo
     return at
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _ends(
     last: int, skip: int, receiver: Floats, gate: float, faces: EndFaces, out: BeamRows, scratch: BeamScratch
 ) -> None:
@@ -202,7 +202,7 @@ def _ends(
         at[0], at[1] = at[0] + 1, end
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def trace(
     origins: Floats,
     most: int,
@@ -264,7 +264,7 @@ def trace(
     return at[0], at[1]
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _image(point: Floats, normal: Floats, offset: float, out: Floats) -> None:
     """Write the mirror image of a point in the plane normal . x = offset, never in that plane itself."""
     gap = normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset
@@ -273,7 +273,7 @@ def _image(point: Floats, normal: Floats, offset: float, out: Floats) -> None:
         out[k] = point[k] - gap * normal[k]
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def apparent_sizes(
     spheres: Floats, widths: Floats, origins: Floats, gate: float, wavelength: float, out: Floats
 ) -> None:
@@ -300,7 +300,7 @@ def apparent_sizes(
                 out[i] = max(out[i], size)
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def largest(sizes: Floats, fade: float, most: Floats, which: Longs, weights: Floats) -> int:
     """Choose the faces of the largest apparent size, fewer than `most` has places, and weigh all of them.
 

@@ -43,7 +43,7 @@ class ReflectScratch(NamedTuple):
     field: Complexes  # (3)
 
 
-@core(nogil=True, error_model="numpy", forceinline=True)
+@core(error_model="numpy", forceinline=True)
 def count_mirrors(chain: Longs) -> int:
     """Count the mirrors of a chain, which ends at its first -1."""
     count = 0
@@ -52,7 +52,7 @@ def count_mirrors(chain: Longs) -> int:
     return count
 
 
-@core(nogil=True, error_model="numpy", forceinline=True)
+@core(error_model="numpy", forceinline=True)
 def first_leg(path: Floats) -> int:
     """Return the last corner of a path (d, 3) at the transmitter, which stands in for absent mirrors too."""
     first = 0
@@ -64,7 +64,7 @@ def first_leg(path: Floats) -> int:
     return first
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def stand_ins(
     middle: Floats, outline: Outline, points: Floats, which: Longs, least: Floats, cut: Bools, out: Floats
 ) -> None:
@@ -110,7 +110,7 @@ def stand_ins(
             out[i, k] += share * (middle[i, k] - out[i, k])
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _cross(image: Floats, target: Floats, normal: Floats, offset: float, out: Floats) -> None:
     """Write the point where the line from an image to a target crosses a face's plane."""
     here, there = -offset, -offset
@@ -124,7 +124,7 @@ def _cross(image: Floats, target: Floats, normal: Floats, offset: float, out: Fl
         out[k] = image[k] + share * (target[k] - image[k])
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def legs(
     beams: ImagePaths, normals: Floats, offsets: Floats, origins: Floats, rows: Longs, lit: Floats, out: Floats
 ) -> None:
@@ -153,7 +153,7 @@ def legs(
             _cross(images[beam, step], out[i, corner + 1], normals[p], offsets[p], out[i, corner])
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def stretches(paths: Floats, wanted: Floats, starts: Floats, ends: Floats, owner: Longs) -> int:
     """Write the ends (m, 3) of the legs of paths (n, d, 3) that are wanted (not 0) and their paths; return m."""
     count = 0
@@ -168,7 +168,7 @@ def stretches(paths: Floats, wanted: Floats, starts: Floats, ends: Floats, owner
     return count
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def middles(first: Ints, edges: Floats, out: Floats) -> None:
     """Write the middle (b, 3) of the outline of each beam by length; a corner that clipping doubles counts once."""
     for i in range(len(first) - 1):
@@ -187,7 +187,7 @@ def middles(first: Ints, edges: Floats, out: Floats) -> None:
             out[i, k] = out[i, k] / whole if whole > 0 else edges[first[i], 0, k]
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def cover(
     paths: Floats, chains: Longs, normals: Floats, widths: Floats, wavelength: float, size: Floats, out: Floats
 ) -> None:
@@ -226,7 +226,7 @@ def cover(
                 out[i] *= min(1.0, widths[face, k] * math.sqrt(cosine) / max(zone, 1e-9))
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def reflect_field(gamma: Complexes, object_id: int, n: Floats, u: Floats, field: Complexes) -> None:
     """Replace the field (3) by that after a bounce: Fresnel's coefficients by polarisation, then mirrored."""
     cosine = abs(n[0] * u[0] + n[1] * u[1] + n[2] * u[2])
@@ -245,7 +245,7 @@ def reflect_field(gamma: Complexes, object_id: int, n: Floats, u: Floats, field:
         field[k] -= twice * n[k]
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def reflect(
     paths: Floats,
     chains: Longs,

@@ -8,7 +8,7 @@ from ullage.arrays import Floats
 from ullage.kernels.loops import loop
 
 
-@loop(nogil=True)
+@loop()
 def _changed(cells: Floats, count: int, row: Floats, first: int, end: int, step: int) -> int:
     """Put the cells `first` to `end` of a row into a sorted list (step 1), or take them out (-1); return its length."""
     for j in range(first, end):
@@ -30,7 +30,7 @@ def _changed(cells: Floats, count: int, row: Floats, first: int, end: int, step:
     return count
 
 
-@loop(nogil=True)
+@loop()
 def windowed_order(power: Floats, guard: int, train: int, rank: int, out: Floats) -> None:
     """The `rank`-th smallest [0 = least] of the `train` cells on either side of each cell, past `guard` cells.
 

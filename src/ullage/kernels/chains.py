@@ -18,7 +18,7 @@ class WallPlaces(NamedTuple):
     weights: Floats  # weight of each
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def beside(
     corners: Floats, at: int, out: Floats, up: Floats, spreads: Floats, slopes: Floats, least: Floats, rows: Floats
 ) -> None:
@@ -49,7 +49,7 @@ def beside(
         slopes[i] = dot(there, along) - dot(back, along)
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _between(lengths: Floats, slopes: Floats, i: int, share: float, step: float) -> tuple[float, float]:
     """Compute the path [m] at a share of the distance from line i to the next, and its slope, by a cubic."""
     j = (i + 1) % len(lengths)
@@ -58,7 +58,7 @@ def _between(lengths: Floats, slopes: Floats, i: int, share: float, step: float)
     return a + share * (p + share * (bow + share * bend)), (p + share * (2 * bow + 3 * share * bend)) / step
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def sampled(
     lengths: Floats, slopes: Floats, there: Bools, step: float, cut: float, many: int, places: WallPlaces
 ) -> int:
@@ -90,7 +90,7 @@ def sampled(
     return count
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def summed(
     lengths: Floats,
     slopes: Floats,

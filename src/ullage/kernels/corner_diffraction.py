@@ -47,7 +47,7 @@ class Order(NamedTuple):
     sine2: float  # square of the sine of the first edge's cone
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def audible(corners: Corners, antennas: Antennas, wave: float, gate: Floats, least: float, out: Longs) -> int:
     """Find the corners that face the radar and can return more than `least`.
 
@@ -78,7 +78,7 @@ def audible(corners: Corners, antennas: Antennas, wave: float, gate: Floats, lea
     return at
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _seen(place: Floats, antennas: Antennas, wave: float, rows: Floats) -> float:
     """Antenna gains over ranges at a place; rows get the direction of travel and both fields across it."""
     g, origins = 1.0, antennas.origins
@@ -106,17 +106,17 @@ def _seen(place: Floats, antennas: Antennas, wave: float, rows: Floats) -> float
     return g
 
 
-@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+@core(fastmath=True, error_model="numpy", forceinline=True)
 def _dot(a: Floats, b: Floats) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+@core(fastmath=True, error_model="numpy", forceinline=True)
 def _cross(a: Floats, b: Floats, out: Floats) -> None:
     out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+@core(fastmath=True, error_model="numpy", forceinline=True)
 def _frame(corners: Corners, c: int, edge: int, rows: Floats) -> None:
     """Rows `INWARD` and `ALONG` get the unit vectors from an edge into its sheet, and along it."""
     along, other = corners.along[c, edge], corners.along[c, 1 - edge]
@@ -127,7 +127,7 @@ def _frame(corners: Corners, c: int, edge: int, rows: Floats) -> None:
     _cross(rows[INWARD], corners.normals[c], rows[ALONG])
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _first(corners: Corners, c: int, edge: int, field: int, rows: Floats) -> tuple[float, float, float]:
     """Magnetic field along an edge, sine of the cone's half angle, and cosine of half the angle of incidence.
 
@@ -143,7 +143,7 @@ def _first(corners: Corners, c: int, edge: int, field: int, rows: Floats) -> tup
     return magnetic, sine, math.cos(0.5 * (phi + 2 * math.pi if phi < 0 else phi))
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _second(corners: Corners, c: int, edge: int, field: int, rows: Floats) -> float:
     """Strength of an edge for a unit current along the sheet in the direction of row `WAVE` [Michaeli1986]."""
     _frame(corners, c, edge, rows)
@@ -159,7 +159,7 @@ def _second(corners: Corners, c: int, edge: int, field: int, rows: Floats) -> fl
     return -(_dot(seen, rows[ALONG]) * along + _dot(seen, rows[INWARD]) * fringe)
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _path(corners: Corners, c: int, one: int, before: float, behind: float, origins: Floats) -> float:
     """Ranges of edge `one` at a distance before the corner and of the other behind it, mean of both antennas [m]."""
     total = 0.0
@@ -172,7 +172,7 @@ def _path(corners: Corners, c: int, one: int, before: float, behind: float, orig
     return total
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _route(corners: Corners, c: int, one: int, rows: Floats, out: Floats) -> bool:
     """Follow the wave of edge `one` to the other; whether it gets there.
 
@@ -188,7 +188,7 @@ def _route(corners: Corners, c: int, one: int, rows: Floats, out: Floats) -> boo
     return out[1] > 0
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _lit_share(before: float, x: float) -> complex:
     """Share of a wave that the first edge sends to a place, as far as the edge goes: Fresnel's integral from its end.
 
@@ -200,7 +200,7 @@ def _lit_share(before: float, x: float) -> complex:
     return 1 - beyond if before > 0 else beyond
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _accumulate(
     corners: Corners, order: Order, late: float, antennas: Antennas, pulse: PulseGrid, sums: EchoSums, k: int
 ) -> None:
@@ -222,7 +222,7 @@ def _accumulate(
         x0, path0, w0 = x1, path1, w1
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def accumulate_corners(
     which: Longs,
     corners: Corners,

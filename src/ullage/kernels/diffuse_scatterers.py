@@ -37,7 +37,7 @@ class ScattererTiles(NamedTuple):
     first: Longs  # (t + 1) first scatterer of each tile
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def accumulate_diffuse_scatterers(
     tiles: ScattererTiles, lobes: Floats, between: Transmission, antennas: Antennas, pulse: PulseGrid, sums: EchoSums
 ) -> None:
@@ -93,7 +93,7 @@ def accumulate_diffuse_scatterers(
         sums.delay_s[k] = total / max(tiles.first[k + 1] - tiles.first[k], 1)
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def lobe(roughness: float, length: float, sine: float, terms: int) -> float:
     """Sum the spectrum of exp(j phase) of a rough surface, less its mean, at 2 k sine [correlation areas].
 

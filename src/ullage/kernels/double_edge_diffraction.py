@@ -50,7 +50,7 @@ class PairPieces(NamedTuple):
     turns: Bools  # (m) whether the wave turns at an edge between both; otherwise it crosses straight over
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def transition(x: float) -> complex:
     """The transition function F(x) of uniform diffraction, 1 far from the shadow's border [KouyoumjianPathak1974]."""
     if x > 12:
@@ -70,7 +70,7 @@ def transition(x: float) -> complex:
     return 2j * s * phasor(-x) * tail
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _graze(
     p: Floats, w: int, side: int, pairs: EdgePairs, width: float, wave: float, antennas: Antennas, out: Floats
 ) -> complex:
@@ -122,7 +122,7 @@ def _graze(
     return g * d * transition(2 * wave * width * half * half)
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _twice(
     pieces: PairPieces, k: int, end: int, pairs: EdgePairs, width: float, wave: float, antennas: Antennas, out: Floats
 ) -> tuple[complex, float]:
@@ -141,7 +141,7 @@ def _twice(
     return value, path + width
 
 
-@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+@core(fastmath=True, error_model="numpy", forceinline=True)
 def _forward(x: float, y: float, z: float, t: Floats, sign: float, origins: Floats) -> float:
     """Mean cosine between the directions from both antennas to a place and the unit vector sign t."""
     total = 0.0
@@ -151,7 +151,7 @@ def _forward(x: float, y: float, z: float, t: Floats, sign: float, origins: Floa
     return 0.5 * sign * total
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _advance(lines: PairLines, w: int, end: int, t: Floats, size: float, sign: float, origins: Floats) -> float:
     """How far a wave runs along pair w while it crosses the face and turns at its `end`; 0 where no path does [m]."""
     width2, run = 0.0, 0.0
@@ -170,7 +170,7 @@ def _advance(lines: PairLines, w: int, end: int, t: Floats, size: float, sign: f
     return run if run < 2 * size else 0.0
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def turning(which: Longs, lines: PairLines, origins: Floats, t: Floats, ends: Floats, pair: Ints) -> int:
     """Find the paths from the first edge of pairs to the second that turn at the edge between them.
 
@@ -213,7 +213,7 @@ def turning(which: Longs, lines: PairLines, origins: Floats, t: Floats, ends: Fl
     return at
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def along_sheet(x: float) -> complex:
     """e^{jx} erfc(sqrt(jx)): what is left at some distance of the wave that the edge of a sheet sends along it.
 
@@ -224,7 +224,7 @@ def along_sheet(x: float) -> complex:
     return transition(x) / math.sqrt(math.pi * x) * complex(math.sqrt(0.5), -math.sqrt(0.5))
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _turned_strength(
     pieces: PairPieces, k: int, pairs: EdgePairs, width: float, run: float, wave: float, antennas: Antennas, out: Floats
 ) -> complex:
@@ -243,7 +243,7 @@ def _turned_strength(
     return -2 * both * spreading * oblique * product * complex(math.sqrt(0.5), -math.sqrt(0.5))
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _turned_path(pieces: PairPieces, k: int, pairs: EdgePairs, shift: float, run: float, origins: Floats) -> float:
     """Both ranges [m] of the path that leaves the first edge by `shift` farther from the turn than in the mean.
 
@@ -261,7 +261,7 @@ def _turned_path(pieces: PairPieces, k: int, pairs: EdgePairs, shift: float, run
     return total
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _accumulate_turned(
     pieces: PairPieces,
     k: int,
@@ -303,7 +303,7 @@ def _accumulate_turned(
         low, before = high, after
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def accumulate_doubles(
     pieces: PairPieces,
     pairs: EdgePairs,

@@ -45,7 +45,7 @@ class EdgeLines(NamedTuple):
     factors: Floats  # (w) strength over that of an edge by itself, at most
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def excess(open_angle: float, phi: float, mu: float, out: Floats) -> None:
     """Fringe current of one face of a wedge, integrated from the edge: along it (soft) and across it (hard).
 
@@ -72,7 +72,7 @@ def excess(open_angle: float, phi: float, mu: float, out: Floats) -> None:
         out[0], out[1] = out[0] - math.sin(phi) / plain, out[1] - 1 / plain
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def edge_diffraction(open_angle: float, phi: float, mu: float, out: Floats) -> None:
     """As `excess`, also where exact and optical current grow without bound together."""
     if phi < math.pi and abs(math.cos(phi) + mu) < 0.03:
@@ -87,7 +87,7 @@ def edge_diffraction(open_angle: float, phi: float, mu: float, out: Floats) -> N
     excess(open_angle, phi, mu, out)
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def face(
     open_angle: float, inward: Floats, normals: Floats, w: int, i: int, sign: float, rows: Floats, out: Floats
 ) -> float:
@@ -128,7 +128,7 @@ def face(
     return seen_along * along + seen_across * across
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def strength(
     places: Floats, k: int, end: int, w: int, wedges: Wedges, wave: float, antennas: Antennas, rows: Floats
 ) -> tuple[float, float, float]:
@@ -179,7 +179,7 @@ def strength(
     return g * total, path, bend
 
 
-@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+@core(fastmath=True, error_model="numpy", forceinline=True)
 def _best_seen(
     start: Floats, near: float, size: float, t: Floats, across: bool, antennas: Antennas
 ) -> tuple[float, float]:
@@ -199,7 +199,7 @@ def _best_seen(
     return gain, most
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def audible(
     edges: EdgeLines, across: bool, antennas: Antennas, wave: float, gate: Floats, least: float, t: Floats, out: Longs
 ) -> int:
@@ -257,7 +257,7 @@ def audible(
     return count
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def accumulate_edge_diffraction(
     edges: EdgePieces,
     wedges: Wedges,

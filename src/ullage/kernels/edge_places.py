@@ -44,7 +44,7 @@ class EdgeSpots(NamedTuple):
     seats: Longs  # (m + n) which of them each piece of an edge, then each end, is seen by
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def facing(edges: EdgeSides, place: Floats, out: Bools) -> None:
     """Find which edges have a place (3) in their open side: out (w)."""
     for w in range(len(edges.starts)):
@@ -56,7 +56,7 @@ def facing(edges: EdgeSides, place: Floats, out: Bools) -> None:
             out[w] = out[w] or above > 0
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def heights(starts: Floats, normals: Floats, place: Floats, out: Floats) -> None:
     """Heights (p) of a place (3) over faces with unit normals (p, 3) through points (p, 3) [m]."""
     for p in range(len(starts)):
@@ -65,7 +65,7 @@ def heights(starts: Floats, normals: Floats, place: Floats, out: Floats) -> None
             out[p] += normals[p, k] * (place[k] - starts[p, k])
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def place_edges(
     edges: CutEdges, pairs: CutPairs, corners: Corners, met: Longs, place: Floats, off: float, spots: EdgeSpots
 ) -> int:

@@ -84,7 +84,7 @@ class FaceCut(NamedTuple):
     whole: bool  # whether all of the outline is cut into pieces
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def mirror(point: Floats, normal: Floats, offset: float, out: Floats) -> None:
     """The mirror image of a point in the plane normal . x = offset."""
     gap = 2 * (normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset)
@@ -92,7 +92,7 @@ def mirror(point: Floats, normal: Floats, offset: float, out: Floats) -> None:
         out[k] = point[k] - gap * normal[k]
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _spot(spots: Floats, i: int, line: Floats, length: float) -> None:
     """Fill a spot, row i, whose place is known: path length, weight K / (r s) and offset from the axis follow it.
 
@@ -117,13 +117,13 @@ def _spot(spots: Floats, i: int, line: Floats, length: float) -> None:
     spots[i, 4] = (length - (r - s)) * (length + (r - s)) / (2 * length * r * s)
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _off(spots: Floats, i: int) -> float:
     """Square of how far spot i is from the axis."""
     return spots[i, 5] ** 2 + spots[i, 6] ** 2 + spots[i, 7] ** 2
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _turn(spots: Floats, i: int, j: int, line: Floats) -> float:
     """Angle from spot i to spot j around the axis."""
     ux, uy, uz, vx, vy, vz = spots[i, 5], spots[i, 6], spots[i, 7], spots[j, 5], spots[j, 6], spots[j, 7]
@@ -136,7 +136,7 @@ def _turn(spots: Floats, i: int, j: int, line: Floats) -> float:
     return math.atan2(cross, dot)
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _steep(spots: Floats, i: int, line: Floats, length: float, wave: float) -> tuple[float, float, float]:
     """What an edge that ends at spot i, far from where its path is shortest, adds there.
 
@@ -164,7 +164,7 @@ def _steep(spots: Floats, i: int, line: Floats, length: float, wave: float) -> t
     return rate, spots[i, 4] * swept * slow / rho2, (fade - wave * bend * slow) * slow
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _slow_part(spots: Floats, size: float, line: Floats, length: float, wave: float) -> tuple[float, float]:
     """Shares of an edge, from spot 0 to 1, between which its path is too near to its shortest to be done by its ends.
 
@@ -201,7 +201,7 @@ def _slow_part(spots: Floats, size: float, line: Floats, length: float, wave: fl
     return begins, stops
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _end(
     job: FaceCut, i: int, strong: float, y: float, into: float, tie: int, outline: Outline, scratch: CutScratch
 ) -> None:
@@ -241,7 +241,7 @@ def _end(
         ends[row, 6 + k] += normals[p, a] * line[3, b] - normals[p, b] * line[3, a] + into * line[3, k]
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _before(faces: FaceOutlines, p: int, origins: Floats, aside: Floats, limit: float, line: Floats) -> float:
     """Set `line` to the transmitter's image in face p, the receiver and the axis from one to the other.
 
@@ -276,7 +276,7 @@ def _before(faces: FaceOutlines, p: int, origins: Floats, aside: Floats, limit: 
     return length
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _pieces(job: FaceCut, begins: float, stops: float, size: float, outline: Outline, scratch: CutScratch) -> float:
     """Halve the edge from spot 4 to spot 5 until the delay along each piece is nearly linear in phi.
 
@@ -336,7 +336,7 @@ def _pieces(job: FaceCut, begins: float, stops: float, size: float, outline: Out
     return winding
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _edge(job: FaceCut, size: float, outline: Outline, scratch: CutScratch) -> float:
     """Cut one edge of a face, from spot 0 to 1, of so many metres; give its turn around the axis [rad]."""
     spots, line, at = scratch.spots, scratch.line, scratch.counts
@@ -375,7 +375,7 @@ def _edge(job: FaceCut, size: float, outline: Outline, scratch: CutScratch) -> f
     return winding
 
 
-@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+@core(fastmath=True, error_model="numpy", forceinline=True)
 def _about(spheres: Floats, normals: Floats, p: int, line: Floats) -> tuple[float, bool]:
     """Sign of the side on which the axis leaves face p, and whether the outline may go round the axis."""
     facing, lead, square = 0.0, 0.0, 0.0
@@ -387,7 +387,7 @@ def _about(spheres: Floats, normals: Floats, p: int, line: Floats) -> tuple[floa
     return sign, square - lead * lead <= 1.0001 * spheres[p, 3] * spheres[p, 3]
 
 
-@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+@core(fastmath=True, error_model="numpy", forceinline=True)
 def _step_on(starts: Floats, ends: Floats, e: int, line: Floats, length: float, spots: Floats) -> float:
     """Set the spots START and STOP to the ends of edge e, and line[3] along it; give the length of the edge [m].
 
@@ -414,7 +414,7 @@ def _step_on(starts: Floats, ends: Floats, e: int, line: Floats, length: float, 
     return size
 
 
-@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+@core(fastmath=True, error_model="numpy", forceinline=True)
 def _outline(
     faces: FaceOutlines, p: int, length: float, limit: float, limits: CutLimits, outline: Outline, scratch: CutScratch
 ) -> float:
@@ -436,7 +436,7 @@ def _outline(
     return sign * winding / (2 * math.pi)
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def cut(
     patches: Longs,
     faces: FaceOutlines,

@@ -111,7 +111,7 @@ class CornerScratch(NamedTuple):
     weight: Complexes  # (3) complex amplitude
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def split(
     clusters: TriangleClusters,
     dark: Bools,
@@ -166,14 +166,14 @@ def split(
     return count
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _mean_range(x: float, y: float, z: float, origins: Floats) -> float:
     a = math.sqrt((x - origins[0, 0]) ** 2 + (y - origins[0, 1]) ** 2 + (z - origins[0, 2]) ** 2)
     b = math.sqrt((x - origins[1, 0]) ** 2 + (y - origins[1, 1]) ** 2 + (z - origins[1, 2]) ** 2)
     return 0.5 * (a + b)
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _longest(t: Floats, origins: Floats, limits: PieceLimits) -> int:
     """The edge to halve (from corner e to e + 1), -1 when the piece is small enough, -2 when outside the gate."""
     cx, cy, cz = (
@@ -204,7 +204,7 @@ def _longest(t: Floats, origins: Floats, limits: PieceLimits) -> int:
     return -1
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _halve(stack: Floats, top: int, edge: int) -> None:
     a, b, c = edge, (edge + 1) % 3, (edge + 2) % 3
     for k in range(3):
@@ -214,7 +214,7 @@ def _halve(stack: Floats, top: int, edge: int) -> None:
         stack[top + 1, 0, k], stack[top + 1, 1, k], stack[top + 1, 2, k] = middle, pb, pc
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def toward(table: Floats, flat: bool, frames: Floats, o: int, s: int, ux: float, uy: float, uz: float) -> float:
     """One-way amplitude gain along u in the world, for a sensor_from_world rotation frames[o, s].
 
@@ -242,14 +242,14 @@ def toward(table: Floats, flat: bool, frames: Floats, o: int, s: int, ux: float,
     return low * (1 - u) + high * u
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def same(origins: Floats, o: int) -> bool:
     """Whether transmitter and receiver of a radar stand at one place."""
     return (origins[o, 0, 0] == origins[o, 1, 0] and origins[o, 0, 1] == origins[o, 1, 1]
             and origins[o, 0, 2] == origins[o, 1, 2])  # fmt: skip
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def turned(x: float) -> complex:
     """e^{-jx}, to 1e-11 and less for thousands of radians: nearest quarter turn, then Taylor's series."""
     n = math.floor(x * (2 / math.pi) + 0.5)
@@ -265,7 +265,7 @@ def turned(x: float) -> complex:
     return complex(cosine, -sine)
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _accumulate(grids: Complexes, kind: int, place: float, value: complex) -> None:
     """Add an impulse at a fractional place of one grid, with a cubic B-spline; outside the grid it is lost."""
     i = math.floor(place)
@@ -279,7 +279,7 @@ def _accumulate(grids: Complexes, kind: int, place: float, value: complex) -> No
     grids[kind, i + 2] += value * (u * u * u / 6)
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def accumulate_triangle(grids: Complexes, w: Complexes, x: Floats, places: Floats, scale: complex) -> complex:
     """Add the echo of a triangle of unit area, amplitude and phase linear between its corners.
 
@@ -311,7 +311,7 @@ def accumulate_triangle(grids: Complexes, w: Complexes, x: Floats, places: Float
     return total
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _bulk(grids: Complexes, w: Complexes, x: Floats, places: Floats, scale: complex) -> complex:
     """Corners nearly at one delay: the moment series to sixth order."""
     middle = (x[0] + x[1] + x[2]) / 3
@@ -327,7 +327,7 @@ def _bulk(grids: Complexes, w: Complexes, x: Floats, places: Floats, scale: comp
     return value
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _strip(
     grids: Complexes, w: Complexes, x: Floats, places: Floats, scale: complex, a: int, b: int, c: int
 ) -> complex:
@@ -356,7 +356,7 @@ def _strip(
     return at_a + edge + rest
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _reflection(gamma: Complexes, object_id: int, tap: int, cosine: float, across: float) -> complex:
     """Reflection coefficient from the tables over cos(incidence): `across` is the TE share of the power."""
     n = gamma.shape[3] - 1
@@ -368,7 +368,7 @@ def _reflection(gamma: Complexes, object_id: int, tap: int, cosine: float, acros
     return across * te + (1 - across) * tm
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _late(lag: Floats, object_id: int, tap: int, cosine: float) -> float:
     """Delay of an inner echo from the table over cos(incidence) [s]."""
     n = lag.shape[2] - 1
@@ -377,7 +377,7 @@ def _late(lag: Floats, object_id: int, tap: int, cosine: float) -> float:
     return lag[object_id, tap, i] * (1 - u + i) + lag[object_id, tap, i + 1] * (u - i)
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def te_share(fields: Floats, o: int, ux: float, uy: float, uz: float, nx: float, ny: float, nz: float) -> float:
     """Share of the electric field across the plane of incidence, for a wave along u at a face with normal n."""
     sx, sy, sz = uy * nz - uz * ny, uz * nx - ux * nz, ux * ny - uy * nx
@@ -389,7 +389,7 @@ def te_share(fields: Floats, o: int, ux: float, uy: float, uz: float, nx: float,
     return min(es * es / square, 1.0)
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _corners(
     leaves: Floats, k: int, normals: Floats, face: int, antennas: Antennas, o: int, scratch: CornerScratch
 ) -> tuple[float, float, float]:
@@ -449,7 +449,7 @@ def _corners(
     return bulge / 24, area, share
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def accumulate(
     pieces: TrianglePieces,
     lit: LitFaces,

@@ -62,7 +62,7 @@ class Scratch(NamedTuple):
     before: Floats  # (3, 3) corners before a step [m]
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def may_be_strong(surfaces: Reflectors, chains: Chains, limits: Limits, some: Longs) -> int:
     """Find the chains whose paths may be short and strong enough; from outside, round bodies only spread waves.
 
@@ -98,7 +98,7 @@ def may_be_strong(surfaces: Reflectors, chains: Chains, limits: Limits, some: Lo
     return count
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _gap(surfaces: Reflectors, one: int, other: int, plane: int) -> float:
     """Bound from below how far apart two reflectors are, the other one seen in a plane if that is not -1 [m]."""
     kinds, centres, axes, radii, ends = surfaces
@@ -121,7 +121,7 @@ def _gap(surfaces: Reflectors, one: int, other: int, plane: int) -> float:
     return max(gap - radii[a] - radii[b], 1e-3)
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def stationary(surfaces: Reflectors, rows: Longs, follow: bool, steps: int, out: FermatPaths, scratch: Scratch) -> None:
     """Find the stationary path of each sequence of reflectors.
 
@@ -147,7 +147,7 @@ def stationary(surfaces: Reflectors, rows: Longs, follow: bool, steps: int, out:
         known = _record(surfaces, rows[i], size, i, out, scratch)
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _begin(surfaces: Reflectors, chain: Longs, i: int, known: bool, corners: Floats, normal: Floats) -> None:
     """Put the corners of a path where those of the last one were, or where round bodies face both neighbours."""
     kinds, centres, axes = surfaces.kinds, surfaces.centres, surfaces.axes
@@ -174,12 +174,12 @@ def _begin(surfaces: Reflectors, chain: Longs, i: int, known: bool, corners: Flo
     _settle(surfaces, chain, corners, i, normal)
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _apart(a: Floats, b: Floats) -> float:
     return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _onto(surfaces: Reflectors, r: int, point: Floats, normal: Floats) -> None:
     """Move a point to a line or a round body, and write the normal of a body."""
     kinds, centres, axes = surfaces.kinds, surfaces.centres, surfaces.axes
@@ -191,7 +191,7 @@ def _onto(surfaces: Reflectors, r: int, point: Floats, normal: Floats) -> None:
         onto(centres[r], axes[r, 2], surfaces.radii[r], kinds[r] == SPHERE, point, normal)
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def settle(surfaces: Reflectors, rows: Longs, corners: Floats, normal: Floats) -> None:
     """Bring the corners (s + 2, n, 3) of paths over rows (n, s + 2) to their reflectors; `normal` (3) is scratch.
 
@@ -201,7 +201,7 @@ def settle(surfaces: Reflectors, rows: Longs, corners: Floats, normal: Floats) -
         _settle(surfaces, rows[i], corners, i, normal)
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _settle(surfaces: Reflectors, chain: Longs, corners: Floats, i: int, normal: Floats) -> None:
     kinds, centres, axes = surfaces.kinds, surfaces.centres, surfaces.axes
     for s in range(1, len(chain) - 1):
@@ -217,7 +217,7 @@ def _settle(surfaces: Reflectors, chain: Longs, corners: Floats, i: int, normal:
                 corners[s, i, k] = here + share * (there - here)
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _frame(surfaces: Reflectors, r: int, before: Floats, here: Floats, frame: Floats) -> int:
     """Write the directions in which a corner may move, that along an axis last, and the normal; return how many."""
     kinds, axes = surfaces.kinds, surfaces.axes
@@ -241,7 +241,7 @@ def _frame(surfaces: Reflectors, r: int, before: Floats, here: Floats, frame: Fl
     return 2
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _derivatives(surfaces: Reflectors, chain: Longs, corners: Floats, i: int, scratch: Scratch) -> int:
     """Write second and first derivatives of a path to columns 0 to 5, and 6, of the table; return the unknowns' number.
 
@@ -279,7 +279,7 @@ def _derivatives(surfaces: Reflectors, chain: Longs, corners: Floats, i: int, sc
     return first
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _solve(table: Floats, size: int, columns: int) -> float:
     """Solve the second derivatives for columns 6 and on of the table, in place; return the determinant.
 
@@ -303,7 +303,7 @@ def _solve(table: Floats, size: int, columns: int) -> float:
     return area
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _move(surfaces: Reflectors, chain: Longs, corners: Floats, i: int, scratch: Scratch) -> float:
     """Move the corners of a path by a step of Newton's method, halved until the path grows no longer; return it [m]."""
     frames, legs, table, before = scratch
@@ -336,7 +336,7 @@ def _move(surfaces: Reflectors, chain: Longs, corners: Floats, i: int, scratch: 
     return math.sqrt(total)
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _record(surfaces: Reflectors, chain: Longs, size: int, i: int, out: FermatPaths, scratch: Scratch) -> bool:
     """Write a path with its second derivatives to the results; return whether it is one."""
     frames, legs, table, _ = scratch

@@ -27,7 +27,7 @@ class FieldScratch(NamedTuple):
     field: Complexes  # (3)
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def polarised(
     paths: ReflectedPaths, gamma: Complexes, antennas: Antennas, scratch: FieldScratch, out: Complexes
 ) -> None:
@@ -57,7 +57,7 @@ def polarised(
         out[i] = gain * dot(field, taken)
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def impulses(
     delays: Floats, values: Complexes, pulse: PulseGrid, shares: tuple[float, float], grids: Complexes, echo: Complexes
 ) -> None:

@@ -24,7 +24,7 @@ class PartedLines(NamedTuple):
     sides: Ints  # (4 w) 0 or 1 where the part to integrate starts or stops, -1 at the line's own ends
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _steep(start: Floats, along: Floats, place: float, origins: Floats, wave: float, out: Floats) -> float:
     """Do as `edges._steep` at a distance from a line's start, for an integrand that falls as 1 / (r s)."""
     path, rate, bend, fade = 0.0, 0.0, 0.0, 0.0
@@ -42,7 +42,7 @@ def _steep(start: Floats, along: Floats, place: float, origins: Floats, wave: fl
     return rate
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, error_model="numpy")
 def _slow_part(
     start: Floats, along: Floats, size: float, origins: Floats, wave: float, term: Floats, out: Floats
 ) -> None:
@@ -79,7 +79,7 @@ def _slow_part(
         out[1] = size
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@loop(fastmath=True, error_model="numpy")
 def part(starts: Floats, ends: Floats, origins: Floats, gate: Floats, wave: float, out: PartedLines) -> int:
     """Split lines: near the shortest path there is something to integrate, of the rest only the ends count.
 
@@ -135,7 +135,7 @@ def part(starts: Floats, ends: Floats, origins: Floats, gate: Floats, wave: floa
     return at
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def tie(owner: Ints, begin: Longs, tips: Floats, holders: Ints, sides: Ints, ties: Longs) -> int:
     """Find the piece that goes on from each end, and leave out ends of parts of which nothing was cut.
 

@@ -58,7 +58,7 @@ class BoundScratch(NamedTuple):
     slopes: Floats  # (6) as `_strength` gives them
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _shone(sphere: Floats, planes: Floats, count: int, one: Floats, other: Floats, gate: float) -> bool:
     """Whether some of a sphere (4) lies in the beams and within the gate of a path that ends at two images."""
     x, y, z, radius = sphere[0], sphere[1], sphere[2], sphere[3]
@@ -72,7 +72,7 @@ def _shone(sphere: Floats, planes: Floats, count: int, one: Floats, other: Float
     return held
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _strength(
     point: Floats, ends: Floats, turned: Floats, table: Floats, flat: bool, axes: Floats, slopes: Floats
 ) -> float:
@@ -103,7 +103,7 @@ def _strength(
     return strong
 
 
-@core(nogil=True, error_model="numpy", forceinline=True)
+@core(error_model="numpy", forceinline=True)
 def _turn_to_edge(p: int, normals: Floats, first: Ints, starts: Floats, axes: Floats) -> None:
     """Sets axes[0] along the longest edge of a face, axes[1] across it in the face."""
     longest = 0.0
@@ -121,7 +121,7 @@ def _turn_to_edge(p: int, normals: Floats, first: Ints, starts: Floats, axes: Fl
         axes[1, k] = normals[p, a] * axes[0, b] - normals[p, b] * axes[0, a]
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _loud(
     p: int, ends: Floats, frames: Floats, faces: FaceOutlines, bounds: EchoBounds, scratch: BoundScratch
 ) -> tuple[float, float, float]:
@@ -177,7 +177,7 @@ def _loud(
     return loud, over - under, gain
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _kept(
     point: Floats,
     images: Floats,
@@ -211,7 +211,7 @@ def _kept(
     return out
 
 
-@core(nogil=True, error_model="numpy", forceinline=True)
+@core(error_model="numpy", forceinline=True)
 def _faced(one: Floats, other: Floats, normal: Floats, offset: float, outward: Floats, inside: bool) -> bool:
     """Whether two images see the same side of a face, of a closed body the outer one unless they are inside its box."""
     ahead, behind, out = -offset, -offset, outward[3]
@@ -221,7 +221,7 @@ def _faced(one: Floats, other: Floats, normal: Floats, offset: float, outward: F
     return not (ahead * behind <= 1e-9 or (out < 0 and not inside))
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def meet_faces(
     paths: MirrorPaths,
     items: Longs,
@@ -286,7 +286,7 @@ def meet_faces(
     return count
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def outline_louds(outline: Outline, gains: Floats, unit: float, louds: Floats, paths: Floats) -> int:
     """Bound the path gains of pieces and ends of outlines; an end from which a piece goes on counts with the piece.
 
@@ -315,7 +315,7 @@ def outline_louds(outline: Outline, gains: Floats, unit: float, louds: Floats, p
     return count
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def sift(louds: Floats, paths: Floats, long: float, rest: float, least: float, sums: Floats, out: Bools) -> None:
     """Which echoes (n) count: all but those that together, with phases at random, make at most `rest` in a pulse.
 
@@ -339,7 +339,7 @@ def sift(louds: Floats, paths: Floats, long: float, rest: float, least: float, s
         out[i] = louds[i] != 0 and (held or abs(louds[i]) > least)
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _near(corners: Floats, one: Floats, other: Floats, gate: float) -> bool:
     """Whether some of a ball about a triangle lies within the gate of a path that ends at two images."""
     square, here, there = 0.0, 0.0, 0.0
@@ -354,7 +354,7 @@ def _near(corners: Floats, one: Floats, other: Floats, gate: float) -> bool:
     return 0.5 * (math.sqrt(here) + math.sqrt(there)) - BALL * math.sqrt(square) <= gate
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def meet_triangles(
     paths: MirrorPaths, gate: float, clusters: TriangleClusters, normals: Floats, sides: FaceSides, lit: Bools
 ) -> None:
@@ -388,7 +388,7 @@ def meet_triangles(
                     )
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def pair_up(lit: Bools, owner: Ints, of: Longs, at: Longs) -> int:
     """List the pairs of a path and a piece of a triangle that it reaches.
 
@@ -408,7 +408,7 @@ def pair_up(lit: Bools, owner: Ints, of: Longs, at: Longs) -> int:
     return count
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _cornered(planes: Floats, count: int, starts: Floats, begin: int, end: int) -> bool:
     """Whether no plane leaves all corners of an outline outside."""
     for w in range(count):
@@ -423,7 +423,7 @@ def _cornered(planes: Floats, count: int, starts: Floats, begin: int, end: int) 
     return True
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def spot(begin: Floats, axis: Floats, size: float, one: Floats, other: Floats, out: Floats) -> float:
     """Point of a wire over which the path between two places is shortest, and that path [m]."""
     z0, z1, h0, h1 = 0.0, 0.0, 0.0, 0.0

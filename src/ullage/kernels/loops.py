@@ -76,14 +76,14 @@ _SETTING = threading.Lock()  # one thread at a time changes Numba's setting
 
 
 def loop(**settings: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a kernel that Python calls; settings are options of `numba.njit`."""
+    """Compile a kernel that Python calls, and that lets other threads run; settings are options of `numba.njit`."""
 
     def compile_loop(function: Callable[..., Any]) -> Any:
         with _SETTING:
             before = numba.config.CACHE_DIR
             numba.config.CACHE_DIR = str(cache_folder() or before)
             try:
-                return numba.njit(**{"cache": True, "no_cfunc_wrapper": True, **settings})(function)
+                return numba.njit(**{"cache": True, "nogil": True, "no_cfunc_wrapper": True, **settings})(function)
             finally:
                 numba.config.CACHE_DIR = before
 

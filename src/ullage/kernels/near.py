@@ -15,7 +15,7 @@ LEAST_M = 1e-6  # a radar nearer to a plane counts as so near: the plane's own p
 TOUCH_M = 1e-3  # small triangles so near are integrated as if they were so far off: in touch they fill half of space
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def eased(wave: float, path: float) -> float:
     """What is left of 1 / path, as a factor, for a wave number."""
     x = 2 * wave * path
@@ -26,7 +26,7 @@ def eased(wave: float, path: float) -> float:
     return (x / (1 + x)) ** 0.25
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def spread(wave: float, path: float) -> float:
     """What stands for 1 / path, at any path, 0 among them."""
     least = 0.5 / wave
@@ -36,7 +36,7 @@ def spread(wave: float, path: float) -> float:
     return (x * x + y * y) ** -0.25
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def lifted(r: float, cosine: float) -> tuple[float, float]:
     """Range and cosine of a point of a face at range r for a radar kept `TOUCH_M` off the face where that is near."""
     share = 1 - (0.1 * r / TOUCH_M) ** 2
@@ -49,7 +49,7 @@ def lifted(r: float, cosine: float) -> tuple[float, float]:
     return far, (least if gap >= 0 else -least) / far
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def height(ahead: float, behind: float) -> float:
     """Compute how far (at least `LEAST_M`) and on which side of a plane an antenna is, given both antennas."""
     if abs(ahead) >= LEAST_M:

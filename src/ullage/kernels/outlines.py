@@ -64,7 +64,7 @@ class LineEcho(NamedTuple):
     bow: float  # as in `accumulate_line` [rad]
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def look_at(outline: Outline, normals: Floats, inward: float, spots: Spots, seats: Longs) -> int:
     """Find points on faces from which pieces and ends of outlines are seen, `inward` of them [m].
 
@@ -108,7 +108,7 @@ def look_at(outline: Outline, normals: Floats, inward: float, spots: Spots, seat
     return count
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _weight(rows: Floats, k: int, at: int, lit: LitFaces, face: int, tap: int) -> tuple[complex, float]:
     """Antenna gains times the reflection coefficient at the point rows[k, at : at + 3] of a face; cos(incidence)."""
     normals, antennas, origins = lit.normals, lit.antennas, lit.antennas.origins
@@ -136,7 +136,7 @@ def _weight(rows: Floats, k: int, at: int, lit: LitFaces, face: int, tap: int) -
     return gain * _reflection(lit.reflection.gamma, lit.materials[face], tap, cosine, share), cosine
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def accumulate_line(
     grids: Complexes, w0: complex, w1: complex, x0: float, x1: float, bow: float, place0: float, place1: float
 ) -> complex:
@@ -165,7 +165,7 @@ def accumulate_line(
     return at0 + at1
 
 
-@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+@core(fastmath=True, error_model="numpy", forceinline=True)
 def accumulate_pulses(
     grids: Complexes, pulse: PulseGrid, lines: bool, kind: int, line: LineEcho, late: float, mean: float
 ) -> complex:
@@ -198,7 +198,7 @@ def accumulate_pulses(
     return echo
 
 
-@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+@core(fastmath=True, error_model="numpy", forceinline=True)
 def _ends_of(
     echoes: OutlineEchoes, k: int, follows: bool, lit: LitFaces, tap: int, known: KnownEnd
 ) -> tuple[complex, complex, float]:
@@ -214,7 +214,7 @@ def _ends_of(
     return w0, w1, 0.5 * (c0 + c1)
 
 
-@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+@core(fastmath=True, error_model="numpy", forceinline=True)
 def _piece(pieces: Floats, k: int, w0: complex, w1: complex, scale: complex, omega: float) -> LineEcho:
     """The echo of piece k of an outline, of which the weights of both ends are known."""
     wave = omega / C0
@@ -223,7 +223,7 @@ def _piece(pieces: Floats, k: int, w0: complex, w1: complex, scale: complex, ome
     return LineEcho(w0, w1, pieces[k, 6] / C0, pieces[k, 7] / C0, -1.5 * omega * pieces[k, 11] / C0)
 
 
-@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+@core(fastmath=True, error_model="numpy", forceinline=True)
 def _tip(
     ends: Floats, i: int, scale: complex, extra: float, tap: int, lit: LitFaces, face: int, wave: float
 ) -> tuple[LineEcho, float]:
@@ -234,7 +234,7 @@ def _tip(
     return LineEcho(weight, 0j, ends[i, 3] / C0, ends[i, 3] / C0, 0.0), late
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def accumulate_outlines(
     echoes: OutlineEchoes, lit: LitFaces, between: Transmission, pulse: PulseGrid, sums: EchoSums, known: KnownEnd
 ) -> None:
@@ -281,7 +281,7 @@ def accumulate_outlines(
             sums.echo[k] += accumulate_pulses(sums.grids, pulse, i < 0, kind, line, late, mean)
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, error_model="numpy")
 def crossings(
     patches: Longs, windings: Floats, normals: Floats, offsets: Floats, origins: Floats, limits: Floats, points: Floats
 ) -> int:
@@ -320,7 +320,7 @@ def crossings(
     return count
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def look_about(
     points: Floats,
     which: Longs,
@@ -360,7 +360,7 @@ def look_about(
     return row
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def through_sheets(
     transmission: Complexes,
     extra: Floats,
@@ -398,7 +398,7 @@ def through_sheets(
         bordered[i] = dark and count > 0
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def held(point: Floats, p: int, normals: Floats, first: Ints, starts: Floats, ends: Floats) -> bool:
     """Whether a point lies within face p: a line from it crosses the outline an odd number of times."""
     ax, ay, az = abs(normals[p, 0]), abs(normals[p, 1]), abs(normals[p, 2])
@@ -419,7 +419,7 @@ def held(point: Floats, p: int, normals: Floats, first: Ints, starts: Floats, en
     return odd
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def held_by(centres: Floats, axes: Floats, halves: Floats, origins: Floats, clear: float, out: Bools) -> None:
     """Find which boxes (m) hold which places (k, 3), or have them no farther outside than `clear` [m]: out (m, k)."""
     for i in range(len(out)):
@@ -432,7 +432,7 @@ def held_by(centres: Floats, axes: Floats, halves: Floats, origins: Floats, clea
                 out[i, s] = out[i, s] and abs(away) <= halves[i, k] + clear
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def hidden(outward: Floats, body: Ints, inside: Bools, origins: Floats, opaque: Bools, out: Bools) -> None:
     """Find the faces that turn their backs to all of some places outside their bodies.
 
@@ -452,7 +452,7 @@ def hidden(outward: Floats, body: Ints, inside: Bools, origins: Floats, opaque: 
             out[i] = out[i] and above < 0 and not inside[body[i], s]
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def limits(
     normals: Floats, offsets: Floats, spheres: Floats, origin: Floats, gate: float, far: float, out: Floats
 ) -> None:

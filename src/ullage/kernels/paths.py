@@ -105,7 +105,7 @@ class FieldScratch(NamedTuple):
     waves: Complexes  # (2, 3)
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def lead(
     faces: Longs,
     antennas: Orientations,
@@ -165,7 +165,7 @@ def lead(
             reach[i] += 0.5 * least
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _box(axes: Floats, starts: Floats, begin: int, end: int, box: Floats) -> None:
     """Write the least and greatest coordinates (2, 2) of the corners of an outline along two axes (2, 3)."""
     for a in range(2):
@@ -175,7 +175,7 @@ def _box(axes: Floats, starts: Floats, begin: int, end: int, box: Floats) -> Non
             box[a, 0], box[a, 1] = min(box[a, 0], place), max(box[a, 1], place)
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _beam(apex: Floats, n: Floats, offset: float, axes: Floats, box: Floats, planes: Floats, made: int) -> int:
     """Add the planes of the beam from an image through a box (2, 2) in its mirror; return how many there are then."""
     gap = n[0] * apex[0] + n[1] * apex[1] + n[2] * apex[2] - offset
@@ -202,7 +202,7 @@ def _beam(apex: Floats, n: Floats, offset: float, axes: Floats, box: Floats, pla
     return made
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _stops(i: int, side: int, point: Floats, paths: MirrorPaths, flat: FlatFaces, out: Floats) -> int:
     """Write the corners (4, 3) of one leg of path i to a point: antenna, at the mirrors, point.
 
@@ -234,7 +234,7 @@ def _stops(i: int, side: int, point: Floats, paths: MirrorPaths, flat: FlatFaces
     return count
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def corners(
     side: int, made: int, pairs: PathPoints, paths: MirrorPaths, flat: FlatFaces, legs: KnownLegs, segments: Segments
 ) -> tuple[int, int, int]:
@@ -279,7 +279,7 @@ def corners(
     return made, count, others
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _followed(stops: Floats, faces: Longs, field: Floats, mirrors: Mirrors, last: Floats, wave: Complexes) -> float:
     """Compute the field of an antenna at the end of one leg (4, 3) over its mirrors (2).
 
@@ -320,7 +320,7 @@ def _followed(stops: Floats, faces: Longs, field: Floats, mirrors: Mirrors, last
     return cover
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def weigh(
     pairs: Weighed, faces: Longs, fields: Floats, mirrors: Mirrors, scratch: FieldScratch, out: Complexes
 ) -> None:
@@ -351,7 +351,7 @@ def weigh(
         out[j] = cover * (there[0] * back[0] + there[1] * back[1] + there[2] * back[2])
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def meet_wires(
     wires: Floats,
     paths: MirrorPaths,
@@ -414,7 +414,7 @@ def meet_wires(
     return count
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _cross(a: Floats, b: Floats, out: Floats) -> None:
     """Write the unit vector at right angles to two others."""
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

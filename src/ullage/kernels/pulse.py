@@ -8,7 +8,7 @@ from ullage.arrays import Complexes
 from ullage.kernels.loops import loop
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@loop(fastmath=True, error_model="numpy")
 def convolve(grids: Complexes, taps: Complexes, every: int, shift: int, out: Complexes) -> None:
     """Bins from delay grids: out[m] = sum over kinds and places of taps * grid, `every` places per bin.
 

@@ -89,7 +89,7 @@ class RangeBins(NamedTuple):
     bin_m: float  # width of a bin [m]
 
 
-@lean(nogil=True)
+@lean()
 def refine_faces(hits: EmbreeHits, rays: Rays, mesh: MeshFaces, nearest: NearestHits) -> None:
     """Put the hits of one body into `nearest` where they are nearer than what is there.
 
@@ -124,7 +124,7 @@ def refine_faces(hits: EmbreeHits, rays: Rays, mesh: MeshFaces, nearest: Nearest
             nearest.cosine[i] = min(abs(along), 1.0)
 
 
-@lean(nogil=True)
+@lean()
 def aim(
     starts: Floats,
     ends: Floats,
@@ -151,7 +151,7 @@ def aim(
             origin[i, 0], reach[i] = _NOWHERE, 0.0
 
 
-@lean(nogil=True)
+@lean()
 def refine_wires(hits: EmbreeHits, rays: Rays, wires: RoundWires, nearest: NearestHits) -> None:
     """Put the hits of round wires into `nearest`: distance and normal are those of the cylinder, not of its prism.
 
@@ -192,7 +192,7 @@ def refine_wires(hits: EmbreeHits, rays: Rays, wires: RoundWires, nearest: Neare
             nearest.cosine[i] = min(c, 1.0)
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def pass_transmissive(
     walk: SheetWalk, met: MetSheets, table: SheetTable, slack: float, last: bool, factor: Complexes, late: Floats
 ) -> int:
@@ -233,7 +233,7 @@ def pass_transmissive(
     return count
 
 
-@lean(nogil=True)
+@lean()
 def turn_fan(fan: Floats, rotation: Floats, out: Floats) -> None:
     """Turn the directions of a fan (m, 3) by n rotations (n, 3, 3); `out` (n, m, 3) gets them."""
     for f in range(len(rotation)):
@@ -244,7 +244,7 @@ def turn_fan(fan: Floats, rotation: Floats, out: Floats) -> None:
                 out[f, i, k] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z
 
 
-@lean(nogil=True)
+@lean()
 def accumulate(hits: NearestHits, reflection: Floats, ranges: RangeBins, out: Floats) -> None:
     """Sum I_m cos(theta) (|v| / far_m)^2 of rays into range bins.
 
@@ -266,7 +266,7 @@ def accumulate(hits: NearestHits, reflection: Floats, ranges: RangeBins, out: Fl
                 out[f, k] += reflection[face[f, i]] * cosine[f, i] * (r / ranges.far_m) ** 2
 
 
-@lean(nogil=True)
+@lean()
 def smooth(values: Floats, weights: Floats, out: Floats) -> None:
     """Sum rows (n, b) over an odd, centred window with weights; beyond the ends all is zero."""
     half = len(weights) // 2

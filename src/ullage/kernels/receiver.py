@@ -10,7 +10,7 @@ from ullage.arrays import Complexes
 from ullage.kernels.loops import lean
 
 
-@lean(nogil=True)
+@lean()
 def limit_envelope(values: Complexes, limit: float) -> None:
     """Hard limiting of the carrier under a complex envelope (n, b), in place: what stays at the carrier frequency.
 

@@ -62,7 +62,7 @@ class FollowedMesh(NamedTuple):
     turn: Floats  # (3, 3) world_from_body
 
 
-@core(nogil=True, error_model="numpy", forceinline=True)
+@core(error_model="numpy", forceinline=True)
 def _place(directions: Directions, i: int, a: int, reach: float, out: Floats) -> None:
     """The place (3) so far along direction a about mirror point i."""
     p, size = directions.faces[i], reach * directions.units[i]
@@ -71,7 +71,7 @@ def _place(directions: Directions, i: int, a: int, reach: float, out: Floats) ->
         out[k] = directions.middles[i, k] + x * directions.across[p, 0, k] + y * directions.across[p, 1, k]
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def sample(directions: Directions, faces: FaceOutlines, counts: Longs, out: Floats) -> int:
     """Find the places (m, 3) along all directions at which light is sampled, as far as the faces go.
 
@@ -98,7 +98,7 @@ def sample(directions: Directions, faces: FaceOutlines, counts: Longs, out: Floa
     return row
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def changes(lit: Bools, counts: Longs, clear: Bools, reaches: Floats, most: int, cells: BorderCells) -> int:
     """Find the cells in which light and shadow change, at most so many along each direction.
 
@@ -130,7 +130,7 @@ def changes(lit: Bools, counts: Longs, clear: Bools, reaches: Floats, most: int,
     return found
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def between(directions: Directions, cells: BorderCells, parts: int, out: Floats) -> None:
     """Find the places (b (parts - 1), 3) that cut cells (b) into so many parts [m]."""
     for b in range(len(cells.low)):
@@ -139,7 +139,7 @@ def between(directions: Directions, cells: BorderCells, parts: int, out: Floats)
             _place(directions, cells.point[b], cells.direction[b], reach, out[b * (parts - 1) + j - 1])
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def narrow(clear: Bools, parts: int, cells: BorderCells) -> None:
     """Narrow cells (b) to the part in which light changes first; `clear`: whether the places `between` are lit."""
     for b in range(len(cells.low)):
@@ -150,7 +150,7 @@ def narrow(clear: Bools, parts: int, cells: BorderCells) -> None:
         cells.high[b] = cells.low[b] + step
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def dark_ends(directions: Directions, cells: BorderCells, eye: Floats, lines: ShadowLines, out: Floats) -> None:
     """Find the dark ends (b, 3) of cells (b) [m], and the lines on which they lie.
 
@@ -172,7 +172,7 @@ def dark_ends(directions: Directions, cells: BorderCells, eye: Floats, lines: Sh
             lines.middles[b, k] -= eye[k]
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _shadow_end(corners: Floats, eye: Floats, lines: ShadowLines, b: int, scratch: Floats) -> tuple[float, int, float]:
     """Find where on line b the shadow of a triangle stops on its lit side.
 
@@ -206,7 +206,7 @@ def _shadow_end(corners: Floats, eye: Floats, lines: ShadowLines, b: int, scratc
     return best, edge, ratio
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _hit(corners: Floats, eye: Floats, ray: Floats) -> float:
     """How far off a triangle's plane is along a ray, over the ray's length."""
     above, passed = 0.0, 0.0
@@ -219,7 +219,7 @@ def _hit(corners: Floats, eye: Floats, ray: Floats) -> float:
     return above / passed
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def follow(
     mesh: FollowedMesh, faces: Longs, eye: Floats, rays: Floats, lines: ShadowLines, ends: ShadowEnds, scratch: Floats
 ) -> None:
@@ -262,7 +262,7 @@ def follow(
                     ends.edges[b, end, k] += mesh.turn[k, m] * (corner[m] - eye[m])
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _normal_to(ends: ShadowEnds, b: int, directions: Directions, i: int, out: Floats) -> None:
     """Unit normal (2) to the shadow of an edge, along the first direction and across it."""
     p, x, y, edge = directions.faces[i], 0.0, 0.0, ends.edges[b]
@@ -274,7 +274,7 @@ def _normal_to(ends: ShadowEnds, b: int, directions: Directions, i: int, out: Fl
     out[0], out[1] = (x * cosine + y * sine) / size, (y * cosine - x * sine) / size
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def place_borders(directions: Directions, cells: BorderCells, ends: ShadowEnds, borders: ShadowBorders) -> None:
     """Place borders within their cells: where the surface that hides the dark side stops to hide, else in the middle.
 

@@ -54,7 +54,7 @@ STEADY = 6.0
 """Change of phase over an integral up to which the coarse rule does [rad]."""
 
 
-@core(nogil=True, error_model="numpy", forceinline=True)
+@core(error_model="numpy", forceinline=True)
 def _fading(phase: float, least: float, last: float) -> float:
     """1 up to a phase, smoothly down to 0 at another."""
     if phase <= least:
@@ -65,7 +65,7 @@ def _fading(phase: float, least: float, last: float) -> float:
     return half * half
 
 
-@core(nogil=True, error_model="numpy", forceinline=True)
+@core(error_model="numpy", forceinline=True)
 def _fresnel(t: float) -> complex:
     """C(t) - j S(t) to 0.002 [AbramowitzStegun1964, 7.3.32]."""
     x = min(abs(t), 1e4)  # beyond, `turned` is not exact
@@ -74,7 +74,7 @@ def _fresnel(t: float) -> complex:
     return out if t >= 0 else -out
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _along(line: Floats, ratio: float, fading: Fading, rules: Rules) -> complex:
     """Integral of e^{-j ratio reach^2} over the angle along a line as `_lines` gives it."""
     gap, foot, begin, end = line[2], line[3], line[4], line[5]
@@ -96,7 +96,7 @@ def _along(line: Floats, ratio: float, fading: Fading, rules: Rules) -> complex:
     return total * (end - begin)
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _bound(a: float, b: float, ratio: float, fading: Fading, rules: Rules) -> complex:
     """What two parallel edges, one on each pass, add because the places of both passes correlate [Plackett1954].
 
@@ -116,7 +116,7 @@ def _bound(a: float, b: float, ratio: float, fading: Fading, rules: Rules) -> co
     return total * weight * most / (2 * math.pi)
 
 
-@core(nogil=True, error_model="numpy", forceinline=True)
+@core(error_model="numpy", forceinline=True)
 def _line(x0: float, y0: float, x1: float, y1: float, out: Floats) -> None:
     """Unit normal (away from the middle), distance and foot's angle of a line through two points."""
     ex, ey = x1 - x0, y1 - y0
@@ -127,7 +127,7 @@ def _line(x0: float, y0: float, x1: float, y1: float, out: Floats) -> None:
     out[3] = math.atan2(out[1], out[0])
 
 
-@core(nogil=True, error_model="numpy", forceinline=True)
+@core(error_model="numpy", forceinline=True)
 def _goes_on(borders: ShadowBorders, i: int, a: int, b: int, m: int) -> bool:
     """Whether border m along direction a is border m along direction b too: those of a rod's two sides are not."""
     if m >= borders.counts[i, b]:
@@ -136,7 +136,7 @@ def _goes_on(borders: ShadowBorders, i: int, a: int, b: int, m: int) -> bool:
     return not one[0] * other[0] + one[1] * other[1] < ALIKE
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _lines(borders: ShadowBorders, i: int, lines: Floats) -> None:
     """Straight lines (n, m, 6) of all borders about mirror point i: as `_line`, then the angles where each ends."""
     counts, reach = borders.counts[i], borders.reach[i]
@@ -163,13 +163,13 @@ def _lines(borders: ShadowBorders, i: int, lines: Floats) -> None:
             out[5] = here + step * (1.0 if on else _beyond(out, here + step))
 
 
-@core(nogil=True, error_model="numpy", forceinline=True)
+@core(error_model="numpy", forceinline=True)
 def _beyond(line: Floats, angle: float) -> float:
     """Share of a step that a line continues beyond its last crossing: half, or all where it may be far off."""
     return 1.0 if math.cos(angle - line[3]) < max(SLOPE, line[2] / FAR) else 0.5
 
 
-@core(nogil=True, error_model="numpy", forceinline=True)
+@core(error_model="numpy", forceinline=True)
 def _run(line: Floats, ratio: float) -> complex:
     """Fresnel's integral along a line between its angles: 1 for all of it."""
     root = math.sqrt(2 * ratio / math.pi) * line[2]
@@ -178,7 +178,7 @@ def _run(line: Floats, ratio: float) -> complex:
     return QUARTER * (_fresnel(root * math.tan(end - line[3])) - _fresnel(root * math.tan(begin - line[3])))
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _paired(borders: ShadowBorders, i: int, a: int, m: int, lines: Floats, fading: Fading, rules: Rules) -> complex:
     """What border m along direction a adds with itself and with the other borders along its line through the middle."""
     many = borders.counts.shape[1]
@@ -199,7 +199,7 @@ def _paired(borders: ShadowBorders, i: int, a: int, m: int, lines: Floats, fadin
     return both * _run(line, ratio)
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def echo_shares(borders: ShadowBorders, fading: Fading, rules: Rules, lines: Floats, out: Complexes) -> None:
     """Find what part of the echoes of mirror points is left by what stands before their faces, there and back.
 

@@ -9,7 +9,7 @@ import numpy as np
 from ullage.kernels.loops import loop
 
 
-@loop(nogil=True, fastmath=True)
+@loop(fastmath=True)
 def along_hyperbolas(
     power: np.ndarray,
     along: np.ndarray,

@@ -8,13 +8,13 @@ from ullage.arrays import Complexes, Floats
 from ullage.kernels.loops import core
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def dot(a: Floats | Complexes, b: Floats) -> complex:
     """Compute the scalar product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def unit_to(a: Floats, b: Floats, out: Floats) -> float:
     """Write the unit vector from one point to another to `out`; return their distance."""
     size = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
@@ -23,7 +23,7 @@ def unit_to(a: Floats, b: Floats, out: Floats) -> float:
     return size
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def field_across(field: Floats, direction: Floats, out: Floats) -> None:
     """Write the unit field across a direction of travel to `out`."""
     along = field[0] * direction[0] + field[1] * direction[1] + field[2] * direction[2]
@@ -35,7 +35,7 @@ def field_across(field: Floats, direction: Floats, out: Floats) -> None:
         out[k] /= max(math.sqrt(square), 1e-9)
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def mirrored(n: Floats, vector: Floats) -> None:
     """Replace a vector by its image in a plane with unit normal n."""
     twice = 2 * (n[0] * vector[0] + n[1] * vector[1] + n[2] * vector[2])
@@ -43,7 +43,7 @@ def mirrored(n: Floats, vector: Floats) -> None:
         vector[k] -= twice * n[k]
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def onto(centre: Floats, axis: Floats, radius: float, is_sphere: bool, point: Floats, normal: Floats) -> None:
     """Move a point (3) to a body's surface, cylinders without ends; write its outward normal (3) to `normal`."""
     along = 0.0

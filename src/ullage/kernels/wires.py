@@ -25,7 +25,7 @@ class WirePieces(NamedTuple):
     series: Complexes  # (w, 2, c) backscatter series, TM and TE, over the sine of the angle to the axis
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@loop(fastmath=True, error_model="numpy")
 def cut_wires(
     starts: Floats,
     ends: Floats,
@@ -95,7 +95,7 @@ def cut_wires(
     return count
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, error_model="numpy")
 def _element(
     pieces: WirePieces, k: int, end: int, axis: Floats, antennas: Antennas, o: int, wave: float, out: Floats
 ) -> complex:
@@ -132,7 +132,7 @@ def _element(
     return g * (share * tm + (1 - share) * te)
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@loop(fastmath=True, error_model="numpy")
 def accumulate_wires(
     pieces: WirePieces, between: Transmission, antennas: Antennas, pulse: PulseGrid, sums: EchoSums
 ) -> None:

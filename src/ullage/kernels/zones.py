@@ -11,7 +11,7 @@ from ullage.kernels.facets import Antennas, toward
 from ullage.kernels.loops import core, lean
 
 
-@core(nogil=True, error_model="numpy", forceinline=True)
+@core(error_model="numpy", forceinline=True)
 def _lengths(
     place: Floats, image: Floats, receiver: Floats, normal: Floats, offset: float
 ) -> tuple[float, float, float]:
@@ -26,7 +26,7 @@ def _lengths(
     return math.sqrt(there), math.sqrt(back), math.sqrt(straight)
 
 
-@core(nogil=True, error_model="numpy", forceinline=True)
+@core(error_model="numpy", forceinline=True)
 def _sent(path: Floats, out: Floats) -> None:
     """Unit vector in which a path (d, 3) leaves the transmitter."""
     first, gone = first_leg(path) + 1, 0.0
@@ -61,7 +61,7 @@ class Strengths(NamedTuple):
     axes: Floats  # (b, 2, 3) of its Fresnel zone, in the plane of incidence and across it, to where the phase is 1 [m]
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def strengths(
     paths: Floats,
     ends: BeamEnds,
@@ -112,7 +112,7 @@ def strengths(
             axes[i, 1, k] = (along * across[p, 1, k] - aside * across[p, 0, k]) * reach
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def outline(
     lit: Floats, axes: Floats, which: Longs, first: Ints, edges: Floats, turn: Floats, last: float, out: Floats
 ) -> None:
@@ -149,7 +149,7 @@ def outline(
                     out[i, r] = min(out[i, r], away * away)
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def places(lit: Floats, axes: Floats, ends: Floats, turn: Floats, last: float, asked: Floats, out: Floats) -> None:
     """Where to ask about zones (k): along each ray in the middles of cells of like shares of the fading weight.
 
@@ -176,7 +176,7 @@ def places(lit: Floats, axes: Floats, ends: Floats, turn: Floats, last: float, a
                 row += 1
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _summed(phase: float, last: float) -> complex:
     """What a direction counts as far as a phase, the weight fading until `last`."""
     real, imag = -1 / last, 1 - phase / last
@@ -184,7 +184,7 @@ def _summed(phase: float, last: float) -> complex:
     return complex(real * cosine - imag * sine, real * sine + imag * cosine)
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def whole(ends: Floats, last: float, out: Complexes) -> None:
     """What rays (k, rays) that end at these phases count together (k) if all is free."""
     for i in range(len(ends)):
@@ -194,7 +194,7 @@ def whole(ends: Floats, last: float, out: Complexes) -> None:
         out[i] = total
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _between(one: float, other: float, share: float, step: float) -> float:
     """Phase at which a line that crosses two rays at these phases crosses one between them."""
     first, second = math.sin((1 - share) * step), math.sin(share * step)
@@ -202,7 +202,7 @@ def _between(one: float, other: float, share: float, step: float) -> float:
     return place * place
 
 
-@core(nogil=True, error_model="numpy")
+@core(error_model="numpy")
 def _turns(free: Bools, borders: Floats, out: Floats) -> int:
     """Phases at which light and shadow change along a ray of cells, and how many there are."""
     count = 0
@@ -213,7 +213,7 @@ def _turns(free: Bools, borders: Floats, out: Floats) -> int:
     return count
 
 
-@lean(nogil=True, error_model="numpy")
+@lean(error_model="numpy")
 def parts(
     free: Bools, borders: Floats, ends: Floats, last: float, turns: Floats, counts: Longs, out: Complexes
 ) -> None:
