@@ -75,7 +75,7 @@ class Map:
 class Kept:
     """A sink that keeps all."""
 
-    takes_obstacles = False
+    takes_obstacles = gathers = False
 
     def __init__(self) -> None:
         self.items: list[Any] = []
@@ -116,6 +116,15 @@ def test_obstacles_state_and_recording_go_out_while_the_map_is_busy() -> None:
     assert not threading.active_count() > 1 or all(
         not thread.name.startswith("ullage") for thread in threading.enumerate()
     )
+
+
+def test_a_file_gets_what_came_meanwhile_in_one_piece() -> None:
+    kept, file, port = Kept(), Kept(), Port()
+    file.gathers = True
+    ul.run(port, sinks=[kept, file])
+    pieces = [item["radar"] for item in file.items if isinstance(item, dict)]
+    assert [t for piece in pieces for t in piece.t_ns.tolist()] == kept.frames == port.frames.t_ns.tolist()
+    assert len(pieces) < N
 
 
 def test_a_sink_that_takes_obstacles_gets_them_before_a_busy_map_though_no_stage_finds_them() -> None:

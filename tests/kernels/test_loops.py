@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numba
@@ -33,6 +34,30 @@ def bent(points, order, out):  # type: ignore[no-untyped-def]
             if j > i + 20:
                 break
         out[i] = total * math.sqrt(nearest)
+
+
+def test_other_threads_run_while_a_loop_does() -> None:
+    """Obstacles are found while a map is made: a loop waits for a flag that only another thread sets."""
+
+    def waiting(flag, turns, most):  # type: ignore[no-untyped-def]
+        while flag[0] == 0 and turns[0] < most:
+            turns[0] += 1
+
+    quick, most = loop(cache=False)(waiting), 3_000_000_000
+    flag, turns = np.ones(1, np.int64), np.zeros(1, np.int64)
+    quick(flag, turns, most)  # compiles it
+    flag[0] = 0
+
+    def answer() -> None:
+        while turns[0] == 0:
+            pass
+        flag[0] = 1
+
+    other = threading.Thread(target=answer)
+    other.start()
+    quick(flag, turns, most)
+    other.join()
+    assert 0 < turns[0] < most
 
 
 def test_loops_give_what_numba_alone_makes_of_them_and_leave_what_they_are_handed_to_its_owner() -> None:
