@@ -119,6 +119,7 @@ class Workspace:
         scenario = find_scenario(name, options=options)
         if options:  # the bounds are those of the shipped scenario
             scenario = scenario.but(expect={})
+            self.log(f"{name}: its bounds are not checked, as it is flown with other options")
         self.log(f"{name}: flying")
         simulated = self.prepared(scenario)
         place = RunFolder.of(scenario.name, scenario.digest, root=self.folder / "runs").begin(force=True)

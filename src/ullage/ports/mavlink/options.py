@@ -63,7 +63,7 @@ class SourceOptions(RadarOptions, LinkOptions):
     )
     origin: str = Field("", description="the autopilot's local origin in the world: x,y,z [m] and, if given, yaw [deg]")
     stagger: bool = Field(
-        True, description="another pulse interval in every second frame, so that folded echoes are no obstacles"
+        True, description="another pulse interval in every second frame, so that folded echoes jump from frame to frame"
     )
     request_hz: float = Field(50.0, ge=0, le=500, description="poses a second that are asked for; 0: do not ask")
     wait_s: float = Field(30.0, gt=0, le=86400, description="without a first HEARTBEAT for so long the run ends")
