@@ -26,6 +26,7 @@ from ullage.processing.baseband import envelope, has_phase, noise_correlation
 from ullage.processing.bearings import CELLS, LEVEL, LEVEL_DB, Echoes, RadarView
 from ullage.processing.detect import detect
 from ullage.processing.echoes import blind_m, profile_noise
+from ullage.processing.fold_levels import errors_of
 from ullage.processing.health import HealthMonitor
 from ullage.processing.inverse_sensor import mirror_m
 from ullage.processing.own_echo import OwnEchoFilter
@@ -140,6 +141,7 @@ class _Sensor:
     body_from_sensor: Floats  # (4, 4)
     place: Floats = field(default_factory=lambda: np.zeros(3))  # in the world at the last frame [m]
     profile: _Profile | None = None  # of the last frame
+    number: int = 0  # of frames
     fresh_ns: int | None = None
     confirmed: list[Track] = field(default_factory=list)
     right_way: int = 0  # frames that agree with the mount
@@ -322,12 +324,19 @@ class ObstacleStage:
         motion = _motion(frames, row, sensor)
         snr = np.nan_to_num(hits.snr_db[which], nan=60.0, posinf=60.0)
         sensor.confirmed = sensor.tracker.step(t_ns, hits.range_m[which], _sigma_m(frames, snr), snr, motion)
+        before, sensor.number = sensor.profile, sensor.number + 1
+        passed_s = (t_ns - (sensor.fresh_ns or t_ns)) * 1e-9
         sensor.fresh_ns, sensor.profile = t_ns, profile
         place = sensor.place = self._placed(sensor, frames, row)
         for track in sensor.tracker.tracks:
             if track.seen_ns == t_ns:
                 nearest = int(np.argmin(np.abs(profile.peak_m - track.measured_m)))
                 track.sums.add(place, t_ns * 1e-9, track.measured_m, float(profile.peak_db[nearest]))
+                here_m = (track.measured_m, track.measured_m - track.rate_m_s * passed_s)
+                wrong = before and errors_of(sensor.spec, sensor.number, here_m, (profile.level_db, before.level_db),
+                                             profile.range_m, sensor.tracker.blind_m)  # fmt: skip
+                if wrong:
+                    track.folds.add(*wrong)
         _check_mount(sensor, motion)
 
     def _placed(self, sensor: _Sensor, frames: Frames, row: int) -> Floats:

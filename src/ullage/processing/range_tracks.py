@@ -18,6 +18,7 @@ from pydantic import Field
 
 from ullage.arrays import Floats
 from ullage.processing.bearings import PathSums
+from ullage.processing.fold_levels import FoldErrors
 from ullage.specs import Spec
 
 _EVERY_SECOND = int("01" * 32, 2)
@@ -58,6 +59,7 @@ class Track:
     confirmed: bool = False
     measured_m: float = math.nan  # its last detection
     sums: PathSums = field(default_factory=PathSums)  # shared with what `after` returns
+    folds: FoldErrors = field(default_factory=FoldErrors)  # the same
 
     @property
     def closing_m_s(self) -> float:
@@ -136,7 +138,7 @@ class RangeTracker:
         for k in free[: max(0, self.spec.most - len(self.tracks))]:
             self._begin(t_ns, float(range_m[k]), float(sigma_m[k]), float(snr_db[k]), motion)
         self.tracks.sort(key=lambda track: track.range_m)
-        return [track for track in self.tracks if track.confirmed]
+        return [track for track in self.tracks if track.confirmed and track.folds.log_odds <= math.log(self.spec.odds)]
 
     def _predict(self, dt: float, motion: Motion) -> None:
         change = motion.velocity - self._velocity
