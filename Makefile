@@ -42,7 +42,7 @@ test: $(VENV)/.dev
 	$(BIN)/python -m pytest -m "not slow" -n 3 --dist loadfile --no-loadscope-reorder
 
 slow: $(VENV)/.dev
-	$(BIN)/python -m pytest -m "slow and not statements" -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -m "slow and not statements" -n 2 --dist loadfile --no-loadscope-reorder tests/studies/test_reproduce.py tests
 
 # 24 minutes: every statement about the thesis falls to an error put into the method, the world or the flight
 statements: $(VENV)/.dev
