@@ -16,7 +16,6 @@ from ullage.radar.receiver import (
     counted,
     dac_limit,
     fold,
-    fold_range_m,
     lattice,
     noise_sigma,
     normalised,
@@ -188,10 +187,8 @@ def test_phase_noise_turns_the_carrier_at_rf_too():
 # --- folding ---------------------------------------------------------------------------------------------------------
 
 
-def test_ranges_fold_at_the_pulse_repetition():
+def test_ranges_are_unambiguous_within_a_pulse_interval():
     assert X4.unambiguous_range_m == pytest.approx(9.87, abs=0.005)
-    assert fold_range_m(12.0, X4) == pytest.approx(12.0 - X4.unambiguous_range_m)
-    assert fold_range_m(np.array([3.0, 25.0]), X4) == pytest.approx([3.0, 25.0 - 2 * X4.unambiguous_range_m])
 
 
 @pytest.mark.parametrize("base", [X4, RF])

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import ullage as ul
-from ullage.view.moving_picture import main, moving_picture, still_picture
+from ullage.view.moving_picture import main, moving_picture
 from ullage.view.replay import Parts, write_replay
 
 
@@ -41,18 +41,10 @@ def test_the_drone_moves_and_the_map_grows(parts: Parts, tmp_path: Path) -> None
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_still_picture_shows_the_end_of_the_run(parts: Parts, tmp_path: Path) -> None:
-    write_replay(tmp_path, parts)
-    still_picture(tmp_path, tmp_path / "end.png", width_px=480)
-    with Image.open(tmp_path / "end.png") as still:
-        assert still.width == 480
-        assert len(near(still, (225, 40, 90), 45)) > 10
-
-
 def test_a_picture_that_cannot_be_written_is_refused(parts: Parts, tmp_path: Path) -> None:
     write_replay(tmp_path, parts)
     with pytest.raises(ul.InputError, match="nowhere"):
-        still_picture(tmp_path, tmp_path / "nowhere" / "end.png", width_px=120)
+        moving_picture(tmp_path, tmp_path / "nowhere" / "end.webp", frames=1, width_px=120)
 
 
 def test_a_run_without_a_replay_has_no_picture(tmp_path: Path) -> None:

@@ -73,21 +73,6 @@ def stopping_distance(speed_m_s: ArrayLike, spec: GuardSpec) -> Floats:
     return np.asarray(speed * spec.latency_s + distance_to_rest(speed, spec))
 
 
-def allowed_speed(free_m: ArrayLike, spec: GuardSpec) -> Floats:
-    """Greatest constant speed that stops within a free distance, the inverse of `stopping_distance` [m/s].
-
-    Args:
-        free_m: distances (...) left after hull and margin [m].
-        spec: latency, lag and deceleration.
-    """
-    free = np.maximum(np.asarray(free_m, float), 0.0)
-    braking, lag, delay = spec.braking_m_s2, spec.lag_s, spec.latency_s
-    slow = free / max(delay + lag, 1e-12)
-    root = (braking * delay) ** 2 + 2 * braking * (free - braking * lag**2 / 2)
-    fast = np.sqrt(np.maximum(root, 0.0)) - braking * delay
-    return np.asarray(np.where(slow <= braking * lag, slow, fast))
-
-
 def predicted_stop(speed_m_s: Floats, commands_m_s: Floats, ends_s: Floats, spec: GuardSpec) -> Floats:
     """Greatest distance to rest of a vehicle whose issued commands act as long as they can, with zero after them [m].
 

@@ -87,21 +87,11 @@ def unit(spec: RadarSpec) -> float:
     return noise.unit_gain * (noise.baseband_gain if spec.output == "baseband" else 1.0)
 
 
-def noise_floor(spec: RadarSpec) -> float:
-    """Return the sigma of the additive noise in the unit of the frames, sqrt(received / transmitted power)."""
-    return noise_sigma(spec) / unit(spec)
-
-
 def phase_sigma(spec: RadarSpec) -> float:
     """Return the sigma of a frame's common phase [rad]: a floor, and a part that falls with the root of the counts."""
     if spec.noise is None:
         return 0.0
     return float(np.hypot(spec.noise.phase_rad, spec.noise.phase_thermal_rad / np.sqrt(spec.counts)))
-
-
-def fold_range_m(range_m: Floats | float, spec: RadarSpec) -> Floats:
-    """Compute the range at which an echo from this range appears [m]: the pulses repeat, and so do the ranges."""
-    return np.asarray(np.mod(range_m, spec.unambiguous_range_m))
 
 
 def fold(profile: NDArray[Any], spec: RadarSpec) -> NDArray[Any]:

@@ -68,18 +68,6 @@ def moving_picture(
     return out
 
 
-def still_picture(run: Path, out: Path, *, width_px: int = 1100) -> Path:
-    """Write the last picture of a run as a PNG.
-
-    Raises:
-        InputError: the run has nothing to replay, or the file cannot be written.
-    """
-    (picture,) = _pictures(read_replay(run), 1, width_px)
-    small = picture.quantize(256, dither=Image.Dither.NONE)
-    write_whole(out, lambda file: small.save(file, format="PNG", optimize=True))
-    return out
-
-
 def _pictures(tree: Mapping[str, Any], count: int, width_px: int) -> Iterator[Image.Image]:
     """Render pictures of a replay, evenly over the flight; a single one shows the end."""
     show = _Show(tree, width_px)
