@@ -39,6 +39,7 @@ def tool(name: str) -> ModuleType:
 def pages() -> ModuleType:
     """The hook of mkdocs that writes the pages of reference."""
     pytest.importorskip("mkdocs")
+    pytest.importorskip("latex2mathml")
     return tool("docs_pages")
 
 
@@ -161,6 +162,36 @@ def test_the_first_use_of_a_term_links_to_the_glossary() -> None:
     ]
     links.page = "glossary.md"
     assert '<td id="sar-aperture">SAR, aperture</td>' in markdown.markdown(GLOSSARY, extensions=["tables", links])
+
+
+@pytest.fixture(scope="module")
+def typeset() -> Any:
+    """Markdown to HTML with typeset formulas."""
+    markdown = pytest.importorskip("markdown")
+    pytest.importorskip("latex2mathml")
+    return lambda text: markdown.markdown(
+        text, extensions=[tool("formulas").Formulas(), "tables", "pymdownx.superfences"]
+    )
+
+
+def test_formulas_are_typeset_and_code_is_not(typeset: Any) -> None:
+    html = typeset("A $x_1$, \\$5, `$HOME` and $|a|$.\n\n$$\\frac{a}{b}$$\n")
+    assert re.findall(r'<math [^>]*display="(\w+)"', html) == ["inline", "inline", "block"]
+    assert "<msub><mi>x</mi><mn>1</mn></msub>" in html
+    assert "<mfrac><mrow><mi>a</mi></mrow><mrow><mi>b</mi></mrow></mfrac>" in html
+    assert "$5, <code>$HOME</code>" in html
+    assert html.count('lspace="0" rspace="0">&#x0007C;</mo>') == 2
+    with pytest.raises(ValueError, match="no MathML for the formula"):
+        typeset(r"$\nosuchcommand$")
+
+
+@pytest.mark.parametrize(
+    "name", ["theory.md", "physics.md", "imaging.md", "likelihood_map.md", "receiver.md", "guard.md"]
+)
+def test_no_formula_of_a_page_is_left_in_latex(typeset: Any, name: str) -> None:
+    html = typeset((DOCS / name).read_text(encoding="utf-8"))
+    assert html.count("<math ") >= 10
+    assert "$" not in re.sub(r"<(code|pre)\b.*?</\1>", "", html, flags=re.S)
 
 
 def test_the_first_python_block_is_at_most_twelve_lines() -> None:

@@ -17,6 +17,7 @@ from mkdocs.structure.pages import Page
 import imc_page
 import message_page
 import ullage as ul
+from formulas import Formulas
 from glossary_links import GlossaryLinks
 from reference_pages import materials_page, references_page, scenario_page
 from ullage.cli import app
@@ -45,9 +46,9 @@ while the documentation is built. [Exit codes](troubleshooting.md#exit-codes) ar
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Let Markdown link terms to the glossary; mkdocs calls this."""
+    """Let Markdown typeset formulas and link terms to the glossary; mkdocs calls this."""
     glossary = Path(config.docs_dir) / "glossary.md"
-    config.markdown_extensions.append(GlossaryLinks(glossary.read_text(encoding="utf-8")))
+    config.markdown_extensions += [Formulas(), GlossaryLinks(glossary.read_text(encoding="utf-8"))]
     return config
 
 
