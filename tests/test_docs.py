@@ -180,6 +180,7 @@ def test_formulas_are_typeset_and_code_is_not(typeset: Any) -> None:
     assert "<msub><mi>x</mi><mn>1</mn></msub>" in html
     assert "<mfrac><mrow><mi>a</mi></mrow><mrow><mi>b</mi></mrow></mfrac>" in html
     assert "$5, <code>$HOME</code>" in html
+    assert "&#x0007B;" in typeset(r"The set $\{a\}$.")
     assert html.count('lspace="0" rspace="0">&#x0007C;</mo>') == 2
     with pytest.raises(ValueError, match="no MathML for the formula"):
         typeset(r"$\nosuchcommand$")
