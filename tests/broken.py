@@ -50,9 +50,8 @@ def read_motive(path: Path) -> object:
 
 
 def read_option(path: Path) -> object:
-    from ullage.ports.cosimulation import options_of
     from ullage.ports.imc.options import SourceOptions, endpoint
-    from ullage.ports.live import Address
+    from ullage.ports.live import Address, options_of
 
     text = path.read_text()
     if path.suffix == ".o":

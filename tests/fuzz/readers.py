@@ -331,9 +331,8 @@ def _read_options(path: Path) -> None:
 
 def _read_address(path: Path) -> None:
     """The options of a live port, as far as they are read before anything is connected."""
-    from ullage.ports.cosimulation import options_of
     from ullage.ports.imc.options import SourceOptions, endpoint
-    from ullage.ports.live import Address, point_of
+    from ullage.ports.live import Address, options_of, point_of
 
     address = Address.of(path.read_bytes().decode("utf-8", "replace"))
     if address is None:

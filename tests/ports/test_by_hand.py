@@ -14,11 +14,11 @@ import pytest
 import ullage as ul
 from ullage.cli import main
 from ullage.errors import InputError
+from ullage.flight.imu import MPU6000, white_noise
 from ullage.flight.live import Steered
 from ullage.flight.pilot import Pilot, PilotOptions, Velocity
 from ullage.ports import schema as ros
 from ullage.ports.by_hand import IMU_TOPIC, SONAR_TOPIC, FlyOptions, HandFlight, HandFlownSource, Sonar
-from ullage.ports.imu import ImuNoise
 from ullage.ports.intake import Counters
 from ullage.ports.keyboard import Keyboard, keys_in
 from ullage.ports.protocol import Passed
@@ -243,10 +243,9 @@ def test_imu_noise_repeats_with_its_seed_and_can_be_switched_off() -> None:
 
 
 def test_imu_noise_has_the_density_of_the_data_sheet() -> None:
-    unit = ImuNoise(196.0, seed=4)
-    rows = np.array([np.concatenate(unit.add(k, np.zeros(3), np.zeros(3))) for k in range(4000)])
-    assert np.degrees(rows[:, :3].std()) == pytest.approx(0.05, rel=0.03)  # the data sheet's own figure for 98 Hz
-    assert rows[:, 3:].std() == pytest.approx(400e-6 * 9.81 * math.sqrt(98), rel=0.03)
+    turned, pushed = white_noise(np.arange(4000) * 5_000_000, MPU6000.but(rate_hz=196.0), seed=4)
+    assert np.degrees(turned.std()) == pytest.approx(0.05, rel=0.03)  # the data sheet's own figure for 98 Hz
+    assert pushed.std() == pytest.approx(400e-6 * 9.81 * math.sqrt(98), rel=0.03)
 
 
 def test_commands_are_recorded_as_the_vehicle_got_them_and_read_again(tmp_path: Path) -> None:

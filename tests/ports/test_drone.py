@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -154,13 +156,20 @@ def test_forces_are_left_out_and_said_once():
 
 
 def test_a_state_has_its_velocity_in_the_world():
-    turn = tuple(rpy_quat(0.0, 0.0, math.pi / 2))
-    state = state_of(5, (1.0, 2.0, 3.0), turn, (1.0, 0.0, 0.5), (0.0, 0.0, 0.1))
-    assert state.velocity == pytest.approx([0.0, 1.0, 0.5])
-    assert float(quat_rpy(state.quat_xyzw)[2]) == pytest.approx(math.pi / 2)
-    assert state_of(5, (math.nan, 0, 0), turn, (0, 0, 0), (0, 0, 0)) == "position is not finite"
-    assert state_of(5, (0, 0, 0), (0, 0, 0, 0), (0, 0, 0), (0, 0, 0)) == "quaternion is not of unit length"
-    assert state_of(5, (0, 0, 0), turn, (math.inf, 0, 0), (0, 0, 0)) == "twist is not finite"
+    left = tuple(rpy_quat(0.0, 0.0, math.pi / 2))
+
+    def state(at=(0, 0, 0), turn=left, linear=(0, 0, 0)):
+        point, level = (SimpleNamespace(**dict(zip("xyz", part, strict=True))) for part in (at, linear))
+        pose = SimpleNamespace(position=point, orientation=SimpleNamespace(**dict(zip("xyzw", turn, strict=True))))
+        return state_of(5, pose, SimpleNamespace(linear=level, angular=SimpleNamespace(x=0.0, y=0.0, z=0.1)))
+
+    found = state((1.0, 2.0, 3.0), linear=(1.0, 0.0, 0.5))
+    assert found.velocity == pytest.approx([0.0, 1.0, 0.5])
+    assert float(quat_rpy(found.quat_xyzw)[2]) == pytest.approx(math.pi / 2)
+    assert abs(found.t_ns * 1e-9 - time.time()) < 60  # 5 ns after 1970 is a simulator's clock
+    assert state((math.nan, 0, 0)) == "position is not finite"
+    assert state(turn=(0, 0, 0, 0)) == "quaternion is not of unit length"
+    assert state(linear=(math.inf, 0, 0)) == "twist is not finite"
 
 
 def test_commands_come_ten_times_a_second():

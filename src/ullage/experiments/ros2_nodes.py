@@ -19,7 +19,7 @@ from ullage.data import Frames
 from ullage.errors import InputError, UllageError, need
 from ullage.grids import Grid
 from ullage.pipeline import DetectStage, ImageStage, MapStage, Sink, Source, Stage, run
-from ullage.ports.cosimulation import options_of
+from ullage.ports.live import options_of
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions, SimulateOptions, SinkOptions, SourceOptions
 from ullage.processing.own_echo import OwnEchoFilter

@@ -466,10 +466,9 @@ def _controls(by: str, scenario: Scenario, log: Callable[[str], None]) -> Contro
         log(HELP)
         return keyboard
     address = Address.of(by)
-    open_controls = None if address is None else address.function("open_controls")
-    if address is None or open_controls is None:
+    if address is None or address.part("controls") is None:
         raise InputError(f"no commands come from {by!r}", where="--by", allowed="keys, ros2:NAMESPACE?key=value")
-    controls: Controls = open_controls(address.place, address.options)
+    controls: Controls = address.open("controls")
     return controls
 
 

@@ -48,6 +48,11 @@ class ImuSpec(Spec):
         return self.accel_noise_ug * 1e-6 * GRAVITY_M_S2
 
     @property
+    def sigma(self) -> tuple[float, float]:
+        """One sigma of the white noise of turn rate [rad/s] and specific force [m/s2]."""
+        return self.gyro_noise * math.sqrt(self.rate_hz), self.accel_noise * math.sqrt(self.rate_hz)
+
+    @property
     def bias(self) -> tuple[float, float]:
         """One sigma of the offsets of turn rate [rad/s] and specific force [m/s2]."""
         return math.radians(self.gyro_bias_deg_s), self.accel_bias_mg * 1e-3 * GRAVITY_M_S2
@@ -56,6 +61,13 @@ class ImuSpec(Spec):
     def walk(self) -> tuple[float, float]:
         """Random walk of the offsets of turn rate [rad/s/sqrt(s)] and specific force [m/s2/sqrt(s)]."""
         return math.radians(self.gyro_walk_deg_s), self.accel_walk_ug * 1e-6 * GRAVITY_M_S2
+
+
+MPU6000 = ImuSpec(
+    gyro_noise_deg_s=0.005 / math.sqrt(2), accel_noise_ug=400 / math.sqrt(2), gyro_bias_deg_s=0, accel_bias_mg=0,
+    gyro_walk_deg_s=0, accel_walk_ug=0,
+)  # fmt: skip
+"""White noise alone: the data sheet's densities, 0.005 deg/s and 400 ug/sqrt(Hz), are one-sided [MPU6000]."""
 
 
 def simulate_imu(path: Trajectory, spec: ImuSpec | None = None, *, still_s: float = 2.0, seed: int = 0) -> Imu:
@@ -87,10 +99,15 @@ def simulate_imu(path: Trajectory, spec: ImuSpec | None = None, *, still_s: floa
     rate = np.concatenate([np.zeros((count, 3)), rate])
     force = np.concatenate([np.tile(GRAVITY_M_S2 * turn[2], (count, 1)), force])
     t_ns = np.concatenate([still, moving])
-    noise = _noise(t_ns, seed, _IMU, 6) * math.sqrt(spec.rate_hz)
+    turned, pushed = white_noise(t_ns, spec, seed=seed)
     bias = _bias(t_ns - first, spec, seed)
-    rate, force = rate + bias[:, :3] + spec.gyro_noise * noise[:, :3], force + bias[:, 3:]
-    return Imu(t_ns, rate, force + spec.accel_noise * noise[:, 3:])
+    return Imu(t_ns, rate + bias[:, :3] + turned, force + bias[:, 3:] + pushed)
+
+
+def white_noise(t_ns: Longs, spec: ImuSpec, *, seed: int) -> tuple[Floats, Floats]:
+    """Return white noise (n, 3) of turn rate [rad/s] and specific force [m/s2], by seed and time of a reading alone."""
+    noise = _noise(t_ns, seed, _IMU, 6) * math.sqrt(spec.rate_hz)
+    return spec.gyro_noise * noise[:, :3], spec.accel_noise * noise[:, 3:]
 
 
 def simulate_height(path: Trajectory, *, sigma_m: float = 0.1, rate_hz: float = 10.0, seed: int = 0) -> Height:

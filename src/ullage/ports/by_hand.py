@@ -16,6 +16,7 @@ from pydantic import Field
 from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.flight.airframe import GRAVITY_M_S2
+from ullage.flight.imu import MPU6000, white_noise
 from ullage.flight.live import Steered, Wish
 from ullage.flight.pilot import Pilot, PilotOptions
 from ullage.flight.vehicle import check_clear
@@ -24,7 +25,6 @@ from ullage.ports import encode
 from ullage.ports import schema as ros
 from ullage.ports.conversions import BODY
 from ullage.ports.cosimulation import BEHIND_S, CosimulationSource, SensingOptions
-from ullage.ports.imu import ImuNoise
 from ullage.ports.intake import Counters, Inbox, Log
 from ullage.ports.live import point_of
 from ullage.ports.pose_events import BodyState, ModelPose, path_along
@@ -221,7 +221,7 @@ class HandFlownSource(CosimulationSource):
         self._air = FlightFeed(self.flight, options.pace, self._pass_on)
         self._options, self._body = options, frame_prefix + BODY
         self._sonar = Sonar(scene)
-        self._imu = ImuNoise(options.state_hz, seed=options.seed) if options.imu_noise else None
+        self._imu = MPU6000.but(rate_hz=options.state_hz) if options.imu_noise else None
         self._touched = 0
         super().__init__(lambda: self._air, scene, rig, options, log=log)
 
@@ -240,9 +240,9 @@ class HandFlownSource(CosimulationSource):
             yield encode.command_message(t_ns, state.asked, state.quat_xyzw, frame_id=self._body)
         spin, force, variances = state.spin, state.force_m_s2, (0.0, 0.0)
         if self._imu is not None:
-            number = round(state.t_ns * 1e-9 * self._options.state_hz)
-            spin, force = self._imu.add(number, spin, force)
-            variances = self._imu.rate_sigma**2, self._imu.force_sigma**2
+            turned, pushed = white_noise(np.array([state.t_ns]), self._imu, seed=self._options.seed)
+            spin, force = spin + turned[0], force + pushed[0]
+            variances = self._imu.sigma[0] ** 2, self._imu.sigma[1] ** 2
         imu = encode.imu_message(t_ns, state.quat_xyzw, spin, force, frame_id=self._body, variances=variances)
         yield Passed(t_ns, IMU_TOPIC, ros.IMU, imu)
         if (range_m := self._sonar.reading(state)) is not None:

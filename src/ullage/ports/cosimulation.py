@@ -94,22 +94,6 @@ def matching(rays: str, names: Iterable[str]) -> tuple[list[str], list[str]]:
     return list(dict.fromkeys(name for word in words for name in found[word])), [w for w in words if not found[w]]
 
 
-Options = TypeVar("Options", bound=Spec)
-
-
-def options_of(kind: type[Options], values: dict[str, Any], where: str) -> Options:
-    """Return the checked options of a port.
-
-    Raises:
-        InputError: an option is unknown, or its value is not valid.
-    """
-    known = kind.model_fields
-    for name in values:
-        if name not in known:
-            raise InputError(f"no option {name!r}", where=where, allowed=", ".join(known))
-    return kind(**values)
-
-
 class UnboundedSource(LiveSource):
     """A live source that ends by the clock of its frames alone.
 

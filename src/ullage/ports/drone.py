@@ -10,7 +10,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -66,25 +66,23 @@ class Limits(NamedTuple):
     turn_rad_s: float = math.radians(60)
 
 
-def state_of(
-    t_ns: int, position: tuple[float, ...], quat_xyzw: tuple[float, ...], linear: tuple[float, ...],
-    angular: tuple[float, ...],
-) -> BodyState | str:  # fmt: skip
-    """The state that an odometry message gives, with its twist in the body; or what is wrong with it.
+def state_of(t_ns: int, pose: Any, twist: Any) -> BodyState | str:
+    """Return the state that an odometry message gives, with its twist in the body; or what is wrong with it.
 
     Args:
-        t_ns: Unix time.
-        position: x, y, z [m].
-        quat_xyzw: world_from_body.
-        linear: velocity in the body [m/s].
-        angular: turn rate in the body [rad/s].
+        t_ns: Unix time; a simulator's clock is replaced by this machine's.
+        pose: position [m] and orientation, with the fields that ROS and Gazebo both have.
+        twist: linear [m/s] and angular [rad/s] rates in the body.
     """
-    pose = checked_pose(position, quat_xyzw)
-    if isinstance(pose, str):
-        return pose
-    if not np.isfinite([*linear, *angular]).all():
+    at, turn = pose.position, pose.orientation
+    linear, angular = (np.array([one.x, one.y, one.z]) for one in (twist.linear, twist.angular))
+    placed = checked_pose((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+    if isinstance(placed, str):
+        return placed
+    if not np.isfinite([linear, angular]).all():
         return "twist is not finite"
-    return BodyState(t_ns, pose[0], pose[1], quat_matrix(pose[1]) @ np.array(linear), np.array(angular))
+    t_ns = t_ns if is_present(t_ns) else time.time_ns()
+    return BodyState(t_ns, *placed, quat_matrix(placed[1]) @ linear, angular)
 
 
 class TopicDrone(ABC):
@@ -94,6 +92,10 @@ class TopicDrone(ABC):
         odom: topic of the odometry.
         counters: of its messages.
     """
+
+    takes: ClassVar[tuple[Takes, ...]] = ("velocity", "pose")
+    refusal = ""
+    """Why it does not take the other commands."""
 
     def __init__(self, odom: str, counters: Counters) -> None:
         self._odom, self.counters, self._last_ns = odom, counters, 0
@@ -121,15 +123,6 @@ class TopicDrone(ABC):
     @abstractmethod
     def _state(self, data: bytes) -> BodyState | str:
         """Return the state in an odometry message, or what is wrong with it."""
-
-    def _state_of(self, t_ns: int, pose: Any, twist: Any) -> BodyState | str:
-        """Return the state that pose and twist of an odometry message give."""
-        at, turn, linear, angular = pose.position, pose.orientation, twist.linear, twist.angular
-        return state_of(
-            t_ns if is_present(t_ns) else time.time_ns(),  # a simulator's clock is not IMC's
-            (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w),
-            (linear.x, linear.y, linear.z), (angular.x, angular.y, angular.z),
-        )  # fmt: skip
 
 
 class Guided:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import math
 import re
 import time
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import ModuleType
-from typing import Any, Self
+from typing import Any, Literal, NamedTuple, Self, TypeVar
 from urllib.parse import parse_qsl
 
 from ullage import plugins
@@ -19,25 +17,42 @@ from ullage.data import Frames, gathered
 from ullage.errors import InputError
 from ullage.ports.intake import PATIENCE_S, Inbox, Log, warn
 from ullage.ports.protocol import Passing, Sink, Source, one_or_all
+from ullage.specs import Spec
 from ullage.world.scene import Scene
 
 SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+-]+):")
+Part = Literal["source", "sink", "drone", "controls"]
+
+
+class Port(NamedTuple):
+    """Parts of a live port, each `module.name` beneath `ullage.ports`; empty: the port has no such part.
+
+    A part is a class of a place and its options, which `settings` of the class names, or a function of a place and a
+    dict of options.
+    """
+
+    source: str
+    sink: str = ""
+    drone: str = ""  # takes commands; of a place and `DroneOptions`
+    controls: str = ""  # gives commands
+
+
 LIVE = {
-    "ros2": "ullage.ports.ros2.port",
-    "gazebo": "ullage.ports.gazebo.port",
-    "gazebo-classic": "ullage.ports.gazebo.classic_port",
-    "imc": "ullage.ports.imc.port",
-    "mavlink": "ullage.ports.mavlink.port",
-    "x4": "ullage.ports.instruments.x4",
-    "mrm": "ullage.ports.instruments.mrm",
+    "ros2": Port("ros2.source.open_source", "ros2.sink.Ros2Sink", "ros2.drone.RosDrone", "ros2.hand.open_controls"),
+    "gazebo": Port(
+        "gazebo.transport_source.open_source", "gazebo.sink.open_transport_sink", "gazebo.drone.GazeboDrone"
+    ),
+    "gazebo-classic": Port("gazebo.classic_source.open_source", "gazebo.sink.open_classic_sink"),
+    "imc": Port("imc.source.ImcSource", "imc.sink.ImcSink"),
+    "mavlink": Port("mavlink.source.open_source", "mavlink.sink.MavlinkSink"),
+    "x4": Port("instruments.x4.open_source"),
+    "mrm": Port("instruments.mrm.open_source"),
 }
-"""Scheme to the module with `open_source(address, options)` and, but for radars, `open_sink(address, options)`."""
+"""Ports by scheme."""
 ADDED: tuple[plugins.Group, plugins.Group] = ("ullage.sources", "ullage.sinks")
 """Entry point groups for live ports of other packages: each a function of the place and the options."""
-INSTRUMENTS = ("x4", "mrm")
-"""Of these, radars, which take nothing."""
 LISTED = ", ".join(f"{scheme}:" for scheme in LIVE)
-LISTED_SINKS = ", ".join(f"{scheme}:" for scheme in LIVE if scheme not in INSTRUMENTS)
+LISTED_SINKS = ", ".join(f"{scheme}:" for scheme, port in LIVE.items() if port.sink)
 
 
 class LiveSource(Source):
@@ -155,34 +170,51 @@ class Address:
         """Whether there is such a port."""
         return self.scheme in LIVE or any(self.scheme in plugins.names(group) for group in ADDED)
 
-    def port(self) -> ModuleType:
-        """Import the module of the port.
+    def part(self, name: Part) -> Callable[..., Any] | None:
+        """Return what opens a part of the port; None if the port has no such part."""
+        if self.scheme in LIVE:
+            module, _, made = getattr(LIVE[self.scheme], name).rpartition(".")
+            return getattr(importlib.import_module(f"ullage.ports.{module}"), made) if made else None
+        group = {"source": ADDED[0], "sink": ADDED[1]}.get(name)
+        return plugins.load(group, self.scheme) if group is not None else None
+
+    def open(self, name: Part) -> Any:
+        """Open a part of the port with the options of the address.
 
         Raises:
-            InputError: it is not part of this version.
+            InputError: there is no such part, or an option is not valid.
         """
-        if self.scheme not in LIVE or importlib.util.find_spec(LIVE[self.scheme]) is None:
-            raise InputError(
-                f"live {self.scheme} is not part of this version", where=f"{self.scheme}:{self.place}", allowed=LISTED
-            )
-        return importlib.import_module(LIVE[self.scheme])
-
-    def function(self, name: str) -> Callable[..., Any] | None:
-        """Return another function of the port, such as `open_drone`; None if it has none."""
-        found: Callable[..., Any] | None = getattr(self.port(), name, None) if self.scheme in LIVE else None
-        return found
+        made, where = self.part(name), f"{self.scheme}:{self.place}"
+        if made is None:
+            raise InputError(f"live {self.scheme} is not part of this version", where=where, allowed=LISTED)
+        kind = getattr(made, "settings", None)
+        return made(self.place, self.options if kind is None else options_of(kind, self.options, where))
 
     def source(self) -> Source:
         """Open the port as a source."""
-        added = None if self.scheme in LIVE else plugins.load("ullage.sources", self.scheme)
-        source: Source = (added or self.port().open_source)(self.place, self.options)
+        source: Source = self.open("source")
         return source
 
     def sink(self) -> Sink:
         """Open the port as a sink."""
-        added = None if self.scheme in LIVE else plugins.load("ullage.sinks", self.scheme)
-        sink: Sink = (added or self.port().open_sink)(self.place, self.options)
+        sink: Sink = self.open("sink")
         return sink
+
+
+Options = TypeVar("Options", bound=Spec)
+
+
+def options_of(kind: type[Options], values: dict[str, Any], where: str) -> Options:
+    """Return the checked options of a port.
+
+    Raises:
+        InputError: an option is unknown, or its value is not valid.
+    """
+    known = kind.model_fields
+    for name in values:
+        if name not in known:
+            raise InputError(f"no option {name!r}", where=where, allowed=", ".join(known))
+    return kind(**values)
 
 
 def point_of(text: str, name: str, *, where: str, yaw: bool = False) -> tuple[float, ...]:

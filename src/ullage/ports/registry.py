@@ -16,7 +16,7 @@ from ullage.errors import InputError, need, shown
 from ullage.grids import OccupancyMap
 from ullage.ports.arrays import refuse_pickle
 from ullage.ports.guarded import GuardedSource, only_files
-from ullage.ports.live import INSTRUMENTS, LISTED, LISTED_SINKS, LIVE, Address
+from ullage.ports.live import LISTED, LISTED_SINKS, LIVE, Address
 from ullage.ports.protocol import Item, Sink, Source, WholeSource
 from ullage.ports.tracked import open_tracked
 from ullage.untrusted import load_yaml, read_yaml, reading, regular_size
@@ -149,7 +149,7 @@ def sink(target: str | Path, **options: Any) -> Sink:
     """
     path = _path_of(target, SINKS)
     if address := Address.of(target, **options):
-        if not address.known or address.scheme in INSTRUMENTS:
+        if not address.known or address.part("sink") is None:
             raise InputError("not something to write to", where=target, allowed=SINKS)
         return address.sink()
     check_beside(path)
@@ -196,10 +196,8 @@ def check_sink(target: str | Path) -> None:
     """
     path = _path_of(target, SINKS)
     if address := Address.of(target):
-        if not address.known or address.scheme in INSTRUMENTS:
+        if not address.known or (address.scheme in LIVE and not LIVE[address.scheme].sink):
             raise InputError("not something to write to", where=target, allowed=SINKS)
-        if address.scheme in LIVE:
-            address.port()
         for library in NEEDED.get(address.scheme, ()):
             need(library, extra=address.scheme)
         return

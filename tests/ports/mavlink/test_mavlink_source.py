@@ -17,7 +17,7 @@ from mavlink_autopilot import Autopilot, local_poses
 from pymavlink.dialects.v20 import common as mav
 
 import ullage as ul
-from ullage.ports.mavlink.source import source_of
+from ullage.ports.mavlink.source import open_source
 
 SDF = """<?xml version="1.0"?><sdf version="1.9"><world name="wall">
 <model name="wall"><static>true</static><pose>3 0 1 0 0 0</pose><link name="l"><collision name="c"><geometry>
@@ -39,7 +39,7 @@ def east(t_s: float) -> tuple[float, float, float]:
 def frames_of(autopilot: Autopilot, world: str, said: list[str], **options: Any) -> Iterator[dict[str, ul.Frames]]:
     place = f"udp://127.0.0.1:{autopilot.port}"
     values = {"world": world, "rig": "single", "rate_hz": 20, "duration_s": 1.0, **options}
-    with source_of(place, values, log=said.append) as source:
+    with open_source(place, values, log=said.append) as source:
         yield from source.stream()
 
 
@@ -77,7 +77,7 @@ def test_frames_come_along_the_autopilots_poses(world: str, kind: str, timesync:
 def test_the_pulse_interval_alternates_unless_it_must_not(world: str, stagger: bool) -> None:
     with Autopilot(poses=local_poses(east), timesync=False) as autopilot:
         place = f"udp://127.0.0.1:{autopilot.port}"
-        with source_of(place, {"world": world, "rig": "thesis-4", "stagger": stagger}, log=lambda _: None) as source:
+        with open_source(place, {"world": world, "rig": "thesis-4", "stagger": stagger}, log=lambda _: None) as source:
             found = {spec.stagger_div for spec in source.rig.sensors.values()}
     assert found == ({17} if stagger else {None})
 
@@ -113,7 +113,7 @@ def test_an_autopilot_that_starts_again_begins_a_new_track(world: str) -> None:
 def test_no_heartbeat_is_an_error_in_one_line(world: str) -> None:
     options = {"world": world, "rig": "single", "wait_s": 0.5}
     with (
-        source_of("udp://127.0.0.1:9", options, log=[].append) as source,
+        open_source("udp://127.0.0.1:9", options, log=[].append) as source,
         pytest.raises(ul.InputError, match=r"no HEARTBEAT of an autopilot within 0.5 s"),
     ):
         next(source.stream())
@@ -121,4 +121,4 @@ def test_no_heartbeat_is_an_error_in_one_line(world: str) -> None:
 
 def test_a_missing_world_is_an_error_in_one_line() -> None:
     with pytest.raises(ul.InputError, match=r"mavlink:udp://127.0.0.1:9: no world \(allowed: world=NAME"):
-        source_of("udp://127.0.0.1:9", {})
+        open_source("udp://127.0.0.1:9", {})

@@ -12,7 +12,7 @@ from xml.etree import ElementTree as ET
 from ullage.flight.live import Wish
 from ullage.geometry import quat_rpy
 from ullage.ports.drone import DroneOptions, Guided, Limits
-from ullage.ports.gazebo.drone import open_drone
+from ullage.ports.gazebo.drone import GazeboDrone
 from ullage.world.library import WORLDS
 
 ET.register_namespace("ullage", "urn:ullage:sdf")
@@ -88,7 +88,7 @@ def fly(points: Sequence[Sequence[float]], *, model: str = NAME, speed_m_s: floa
         model: its name; it gives `/model/NAME/odometry` and takes `/model/NAME/cmd_vel`.
         speed_m_s: greatest level speed.
     """
-    drone = Guided(open_drone(model, DroneOptions(), "velocity"), "velocity", Limits(level_m_s=speed_m_s), log=print)
+    drone = Guided(GazeboDrone(model, DroneOptions()), "velocity", Limits(level_m_s=speed_m_s), log=print)
     try:
         while drone.position is None:
             _step(drone)

@@ -7,13 +7,11 @@ from collections.abc import Iterator
 
 from ullage.errors import InputError
 from ullage.flight.pilot import Velocity
-from ullage.ports.drone import DroneOptions, Takes, TopicDrone
+from ullage.ports.drone import DroneOptions, TopicDrone, state_of
 from ullage.ports.gazebo.messages import gz
 from ullage.ports.gazebo.peer import Received, TopicOffered
 from ullage.ports.gazebo.transport import TransportPeer
 from ullage.ports.pose_events import BodyState, stamp_ns
-
-REFUSAL = "Gazebo's multicopters take no poses"
 
 
 class GazeboDrone(TopicDrone):
@@ -27,6 +25,9 @@ class GazeboDrone(TopicDrone):
         InputError: there is no model's name, or a topic is none.
         MissingExtra: pyzmq or protobuf is not installed.
     """
+
+    takes = ("velocity",)
+    refusal = "Gazebo's multicopters take no poses"
 
     def __init__(self, model: str, options: DroneOptions) -> None:
         if not model:
@@ -56,7 +57,7 @@ class GazeboDrone(TopicDrone):
 
     def _state(self, data: bytes) -> BodyState | str:
         message = gz().Odometry.FromString(data)
-        return self._state_of(stamp_ns(message.header.stamp), message.pose, message.twist)
+        return state_of(stamp_ns(message.header.stamp), message.pose, message.twist)
 
     def steer(self, velocity: Velocity) -> None:
         """Command a velocity in the level frame of the heading."""
@@ -72,21 +73,9 @@ class GazeboDrone(TopicDrone):
         Raises:
             InputError: always.
         """
-        raise InputError(REFUSAL, where=self._cmd_vel, allowed="takes=velocity")
+        raise InputError(self.refusal, where=self._cmd_vel, allowed="takes=velocity")
 
     def close(self) -> None:
         """Leave the network."""
         time.sleep(0.05)  # the last command leaves first
         self._peer.close()
-
-
-def open_drone(address: str, options: DroneOptions, takes: Takes) -> GazeboDrone:
-    """Open a model with a velocity controller: `gazebo:MODEL`.
-
-    Raises:
-        InputError: the model has no name, or `takes` is pose.
-        MissingExtra: pyzmq or protobuf is not installed.
-    """
-    if takes == "pose":
-        raise InputError(REFUSAL, where=f"gazebo:{address}", allowed="takes=velocity")
-    return GazeboDrone(address, options)

@@ -7,11 +7,12 @@ from typing import Any, Literal
 from pydantic import Field
 
 from ullage.data import Frames
-from ullage.ports.cosimulation import PacedSink, SimulatorSinkOptions, options_of
+from ullage.ports.cosimulation import PacedSink, SimulatorSinkOptions
 from ullage.ports.gazebo.classic import ClassicPeer, master_of
 from ullage.ports.gazebo.messages import gz
 from ullage.ports.gazebo.topics import CLASSIC, RadarTopics
 from ullage.ports.gazebo.transport import TransportPeer
+from ullage.ports.live import options_of
 
 
 class TransportSinkOptions(SimulatorSinkOptions):

@@ -13,7 +13,7 @@ from pydantic import Field
 from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, quat_matrix
-from ullage.ports.cosimulation import CosimulationOptions, CosimulationSource, matching, options_of, resolved
+from ullage.ports.cosimulation import CosimulationOptions, CosimulationSource, matching, resolved
 from ullage.ports.gazebo.feed import Feed
 from ullage.ports.gazebo.messages import gz
 from ullage.ports.gazebo.peer import Event, ProcessLeft, Received, TopicOffered
@@ -21,6 +21,7 @@ from ullage.ports.gazebo.scene import ask_scene
 from ullage.ports.gazebo.topics import RadarTopics
 from ullage.ports.gazebo.transport import TransportPeer
 from ullage.ports.intake import PATIENCE_S, Log
+from ullage.ports.live import options_of
 from ullage.ports.pose_events import ModelPose, Notice, OtherModels, stamp_ns
 from ullage.ports.scanning import Scan, ScanSource, scan_of
 from ullage.world.scene import Scene

@@ -32,6 +32,7 @@ class ImcSink(Sink):
         InputError: the place is not valid.
     """
 
+    settings = SinkOptions
     sends = True
     """Its messages leave this machine's process at once."""
 

@@ -46,6 +46,7 @@ class ImcSource(LiveSource):
     """
 
     where = "imc"
+    settings = SourceOptions
 
     def __init__(self, place: str, options: SourceOptions, *, log: Log = warn) -> None:
         super().__init__(log=log, lag_s=options.lag_s)
@@ -107,7 +108,7 @@ class ImcSource(LiveSource):
 
     def _vehicle(self, start: tuple[float, ...]) -> Vehicle:
         """Open our own multirotor or an external drone."""
-        from ullage.ports.drone import DroneOptions, Guided, Limits
+        from ullage.ports.drone import Drone, DroneOptions, Guided, Limits
         from ullage.ports.imc.helm import Simulated
 
         o = self._options
@@ -116,11 +117,12 @@ class ImcSource(LiveSource):
             return Simulated(
                 o.fly, scene=self.scene, start=start, rate_hz=o.state_hz, pace=o.pace, log=self._log
             )  # fmt: skip
-        open_drone = address.function("open_drone")
-        if open_drone is None:
+        made: Any = address.part("drone")
+        if made is None:
             raise InputError(f"no drone at {o.fly!r}", where="fly", allowed="a vehicle, ros2:NAMESPACE, gazebo:MODEL")
-        topics = DroneOptions(odom=o.odom, cmd_vel=o.cmd_vel, setpoint=o.setpoint)
-        drone = open_drone(address.place, topics, o.takes)
+        if o.takes not in made.takes:
+            raise InputError(made.refusal, where=o.fly, allowed=f"takes={made.takes[0]}")
+        drone: Drone = made(address.place, DroneOptions(odom=o.odom, cmd_vel=o.cmd_vel, setpoint=o.setpoint))
         return Guided(drone, o.takes, Limits(level_m_s=o.limit_m_s), log=self._log)
 
     def _take_off(self, vehicle: Vehicle) -> Helm:

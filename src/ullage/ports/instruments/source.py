@@ -13,10 +13,9 @@ from pydantic import Field
 
 from ullage.data import Frames, Unit
 from ullage.errors import InputError
-from ullage.ports.cosimulation import options_of
 from ullage.ports.instruments.clock import InstrumentClock
 from ullage.ports.intake import PATIENCE_S, Counters, Inbox, LiveOptions, Log
-from ullage.ports.live import LiveSource
+from ullage.ports.live import LiveSource, options_of
 from ullage.specs import RadarSpec
 
 RETRY_S = 0.5

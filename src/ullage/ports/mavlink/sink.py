@@ -53,6 +53,7 @@ class MavlinkSink:
         MissingExtra: pymavlink or pyserial is not installed.
     """
 
+    settings = SinkOptions
     takes_obstacles = sends = True
     """Its messages leave this machine's process at once."""
 

@@ -12,8 +12,9 @@ from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.geometry import apply, matrix_quat, quat_matrix, rpy_quat, transform
-from ullage.ports.cosimulation import CosimulationSource, options_of, rig_of, world_of
+from ullage.ports.cosimulation import CosimulationSource, rig_of, world_of
 from ullage.ports.intake import Counters, Log, checked_pose, warn
+from ullage.ports.live import options_of
 from ullage.ports.mavlink.link import POSES, Link, PoseMessage, leave, open_link
 from ullage.ports.mavlink.options import SourceOptions
 from ullage.ports.ned import enu_position, enu_quat
@@ -263,7 +264,7 @@ class PoseFeed(EventFeed[PoseMessage]):
         return f"no poses of system {there.system}: frames wait (it should send {wanted})"
 
 
-def source_of(address: str, options: dict[str, Any], *, log: Log | None = None) -> CosimulationSource:
+def open_source(address: str, options: dict[str, Any], *, log: Log | None = None) -> CosimulationSource:
     """Frames of radars on the autopilot's vehicle in a world: `mavlink:udp://HOST:PORT?world=NAME`.
 
     Args:

@@ -9,7 +9,7 @@ from ullage.flight.pilot import Velocity
 from ullage.geometry import rpy_quat
 from ullage.ports import schema as ros
 from ullage.ports.conversions import stamp_ns
-from ullage.ports.drone import DroneOptions, TopicDrone
+from ullage.ports.drone import DroneOptions, TopicDrone, state_of
 from ullage.ports.pose_events import BodyState
 from ullage.ports.publisher import Message
 from ullage.ports.ros2.middleware import Peer
@@ -43,7 +43,7 @@ class RosDrone(TopicDrone):
     def _state(self, data: bytes) -> BodyState | str:
         message = ros.from_bytes(ros.ODOMETRY, data)
         self._frame = message.header.frame_id or "odom"
-        return self._state_of(stamp_ns(message.header), message.pose.pose, message.twist.twist)
+        return state_of(stamp_ns(message.header), message.pose.pose, message.twist.twist)
 
     def steer(self, velocity: Velocity) -> None:
         """Command a velocity in the level frame of the heading."""

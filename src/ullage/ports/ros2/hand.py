@@ -13,6 +13,7 @@ from ullage.ports import schema as ros
 from ullage.ports.by_hand import FlyOptions, HandFlownSource
 from ullage.ports.cosimulation import world_and_rig
 from ullage.ports.intake import Log, checked_pose, warn
+from ullage.ports.live import options_of
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions
 
@@ -126,6 +127,17 @@ class TopicControls:
         values = [float(message.axes[k]) if 0 <= k < len(message.axes) else 0.0 for k in self._axes]
         v = self._options.joy_speed_m_s
         return Velocity(values[0] * v, values[1] * v, values[2] * v, values[3] * self._options.joy_turn_rad_s)
+
+
+def open_controls(namespace: str, options: dict[str, Any]) -> TopicControls:
+    """Open commands from topics: `ros2:NAMESPACE?key=value`.
+
+    Raises:
+        InputError: an option is unknown or of no use.
+        MissingExtra: there is no rclpy.
+    """
+    chosen = options_of(ControlOptions, options, f"ros2:{namespace}")
+    return TopicControls(Peer(namespace, chosen), chosen)
 
 
 def open_flight(namespace: str, options: TopicFlyOptions, *, log: Log | None = None) -> HandFlownSource:

@@ -45,6 +45,7 @@ class Ros2Sink(Sink):
         MissingExtra: there is no rclpy.
     """
 
+    settings = SinkOptions
     sends = True
     """Its messages leave this machine's process at once."""
 

@@ -12,13 +12,13 @@ from ullage.errors import InputError
 from ullage.ports import encode
 from ullage.ports import schema as ros
 from ullage.ports.intake import PATIENCE_S, Inbox, Log
-from ullage.ports.live import LiveSource
+from ullage.ports.live import LiveSource, options_of
 from ullage.ports.process_load import ProcessLoad
-from ullage.ports.protocol import Passed
+from ullage.ports.protocol import Passed, Source
 from ullage.ports.publisher import on
 from ullage.ports.ros2.incoming import Incoming
 from ullage.ports.ros2.middleware import Peer
-from ullage.ports.ros2.options import SourceOptions
+from ullage.ports.ros2.options import SimulateOptions, SourceOptions
 
 SEARCH_S = 0.5
 """How often the graph is asked for new topics [s]."""
@@ -214,3 +214,22 @@ class Ros2Source(LiveSource):
         t_ns = time.time_ns()
         data = encode.diagnostics_message(t_ns, level, f"{self._options.node}: source", text, values)
         self._peer.send(on("/diagnostics", t_ns, data))
+
+
+def open_source(namespace: str, options: dict[str, Any]) -> Source:
+    """Open frames from topics: `ros2:NAMESPACE?key=value`; simulated on a robot: `?simulate=WORLD`, `?fly=WORLD`.
+
+    Raises:
+        InputError: an option is unknown or of no use.
+        MissingExtra: there is no rclpy.
+    """
+    where = f"ros2:{namespace}"
+    if "fly" in options:
+        from ullage.ports.ros2.hand import TopicFlyOptions, open_flight
+
+        return open_flight(namespace, options_of(TopicFlyOptions, options, where))
+    if "simulate" in options or "world" in options:
+        from ullage.ports.ros2.cosimulation import Ros2Radars
+
+        return Ros2Radars(namespace, options_of(SimulateOptions, options, where))
+    return Ros2Source(namespace, options_of(SourceOptions, options, where))
