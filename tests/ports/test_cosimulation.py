@@ -15,12 +15,12 @@ from ullage.ports.cosimulation import (
     CosimulationSource,
     PacedSink,
     nearest,
-    options_of,
     resolved,
     rig_of,
     world_of,
 )
 from ullage.ports.intake import Counters
+from ullage.ports.live import options_of
 from ullage.ports.pose_events import ModelPose, Notice
 from ullage.ports.radar_status import RadarStatus
 

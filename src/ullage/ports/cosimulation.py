@@ -127,12 +127,9 @@ class UnboundedSource(LiveSource):
         elapsed_ns = max(stream.elapsed_ns for stream in self._streams)
         return self._duration_s is not None and elapsed_ns >= self._duration_s * 1e9
 
-    def _report(self) -> None:
-        """Log one line for each topic that lost messages, at the end of a run."""
+    def _finish(self) -> None:
         for stream in self._streams:
             stream.finish()
-        for line in self.counters.lines():
-            self._log(line)
 
 
 class CosimulationSource(UnboundedSource):
@@ -185,35 +182,25 @@ class CosimulationSource(UnboundedSource):
         """Names of the radars."""
         return tuple(self.rig.sensors)
 
-    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Give frames as they fall due, at most about `chunk` of each radar at a time."""
-        try:
-            while not self._over():
-                stopping = self._stopping
-                poses = self._bunch(chunk)
-                self.counters.report()
-                if not poses and stopping:
-                    return
-                if not poses or (not stopping and self._left_out(poses)):
-                    continue
-                found = self._radars.advance(
-                    [pose.t_ns for pose in poses],
-                    [pose.item.position for pose in poses],
-                    [pose.item.quat_xyzw for pose in poses],
-                )
-                self._done_ns = poses[-1].t_ns
-                self._scene.forget(self._done_ns)
-                self._log_if_behind()
-                self._report_status(found)
-                if found:
-                    if self._publish:
-                        self._feed.give(found, self._offset_ns)
-                    yield found
-                if stopping and self.behind_s < self.rest_s:
-                    return
-        finally:
-            self._report()
-            self.close()
+    def _step(self, chunk: int, *, stopping: bool) -> Iterator[dict[str, Frames]]:
+        poses = self._bunch(chunk)
+        self._ended = stopping and not poses
+        if not poses or (not stopping and self._left_out(poses)):
+            return
+        found = self._radars.advance(
+            [pose.t_ns for pose in poses],
+            [pose.item.position for pose in poses],
+            [pose.item.quat_xyzw for pose in poses],
+        )
+        self._done_ns = poses[-1].t_ns
+        self._scene.forget(self._done_ns)
+        self._log_if_behind()
+        self._report_status(found)
+        if found:
+            if self._publish:
+                self._feed.give(found, self._offset_ns)
+            yield found
+        self._ended = stopping and self.behind_s < self.rest_s
 
     def _left_out(self, poses: list[Stamped[ModelPose]]) -> bool:
         """Whether frames of these poses would come later than the limit allows; the next ones leave a gap then."""
@@ -226,8 +213,7 @@ class CosimulationSource(UnboundedSource):
             self.counters.drop("frames", "lost", f"more than {self._limit_s:g} s late", count=count)
         return False
 
-    def close(self) -> None:
-        """Close sockets and end threads."""
+    def _release(self) -> None:
         self._feed.close()
         self._radars.close()
 

@@ -7,7 +7,7 @@ import math
 import re
 import time
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Self, TypeVar
 from urllib.parse import parse_qsl
@@ -15,7 +15,7 @@ from urllib.parse import parse_qsl
 from ullage import plugins
 from ullage.data import Frames, gathered
 from ullage.errors import InputError
-from ullage.ports.intake import PATIENCE_S, Inbox, Log, warn
+from ullage.ports.intake import PATIENCE_S, Counters, Inbox, Log, warn
 from ullage.ports.protocol import Passing, Sink, Source, one_or_all
 from ullage.specs import Spec
 from ullage.world.scene import Scene
@@ -65,6 +65,8 @@ class LiveSource(Source):
 
     where = "frames"
     """What complaints name."""
+    counters: Counters
+    """Count what is received and dropped."""
     scene: Scene | None = None
     """The world, if the port knows it."""
 
@@ -73,7 +75,39 @@ class LiveSource(Source):
         self.lag_s = lag_s
         self.passing = Passing()
         self._limit_s: float | None = None  # what is later is left out; None: nothing is
-        self._stopping = False
+        self._stopping = self._ended = self._closed = False
+
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """Give frames as they come, at most about `chunk` of each radar at once, until Ctrl-C, an end, or `stop`."""
+        try:
+            while not (self._ended or self._closed or self._over()):
+                yield from self._step(chunk, stopping=self._stopping)
+                self.counters.report()
+        finally:
+            self._finish()
+            for line in self._lines():
+                self._log(line)
+            self.close()
+
+    @abstractmethod
+    def _step(self, chunk: int, *, stopping: bool) -> Iterator[dict[str, Frames]]:
+        """Wait a moment for messages and give the frames that they make.
+
+        Args:
+            chunk: most frames of each radar at once.
+            stopping: nothing more is waited for; set `_ended` once nothing is left.
+        """
+
+    def _over(self) -> bool:
+        """Return whether the given duration has passed."""
+        return False
+
+    def _finish(self) -> None:
+        """Drop what still waits, at the end of the stream."""
+
+    def _lines(self) -> list[str]:
+        """Return what the user should know at the end of the stream."""
+        return self.counters.lines()
 
     def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
         """Return all frames until the peer ends or the duration is over.
@@ -114,9 +148,15 @@ class LiveSource(Source):
             queue.lag_s = None
         self._stopping = True
 
-    @abstractmethod
     def close(self) -> None:
         """Close sockets and end threads."""
+        if not self._closed:
+            self._closed = True
+            self._release()
+
+    @abstractmethod
+    def _release(self) -> None:
+        """Close sockets and end threads; called once."""
 
     def __enter__(self) -> Self:
         return self

@@ -121,22 +121,15 @@ class ScanSource(UnboundedSource):
         """Names of the ray sensors that gave scans so far."""
         return tuple(self._cast)
 
-    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Give a frame of each scan as it comes."""
-        try:
-            while not self._over():
-                found = self._feed.next(0.5)
-                self.counters.report()
-                if isinstance(found, Notice):
-                    self._log_throttled(found.text)
-                elif found is not None:
-                    yield from self._pieces(found)
-        finally:
-            self._report()
-            self.close()
+    def _step(self, chunk: int, *, stopping: bool) -> Iterator[dict[str, Frames]]:
+        found = self._feed.next(0.5)
+        self._ended = stopping and found is None
+        if isinstance(found, Notice):
+            self._log_throttled(found.text)
+        elif found is not None:
+            yield from self._pieces(found)
 
-    def close(self) -> None:
-        """Close the sockets."""
+    def _release(self) -> None:
         self._feed.close()
 
     def _pieces(self, found: Scan) -> Iterator[dict[str, Frames]]:

@@ -19,7 +19,7 @@ from ullage.ports.imc.link import Link, Role, leave, open_link
 from ullage.ports.imc.options import SourceOptions
 from ullage.ports.imc.relay import passed
 from ullage.ports.imc.wires import Entity, Identity
-from ullage.ports.intake import PIECE_S, Covered, Inbox, Log, Once, warn
+from ullage.ports.intake import PATIENCE_S, PIECE_S, Covered, Inbox, Log, Once, warn
 from ullage.ports.live import Address, LiveSource, point_of
 from ullage.ports.pose_events import BodyState
 from ullage.ports.protocol import pieces
@@ -53,7 +53,7 @@ class ImcSource(LiveSource):
         self._options = options
         self._radars: LiveRadars | None = None
         self._seen: list[str] = []
-        self._once = Once(log)
+        self._once, self._begun_s = Once(log), time.monotonic()
         self._limit_s, self._lost = options.lag, 0
         points, start = options.waypoints(), point_of(options.start, "start", where=self.where, yaw=True)
         self._vehicle_s, self._frames_s = Covered(), Covered()
@@ -82,12 +82,10 @@ class ImcSource(LiveSource):
         """Names of the radars known so far."""
         return tuple(self._seen)
 
-    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Give frames with poses as they arrive, until the peer ends, the duration is over, or Ctrl-C."""
-        for ready in self._arriving():
-            out = self._within(ready)
-            self._seen += [name for name in out if name not in self._seen]
-            yield from pieces(out, chunk)
+    def _pieces(self, ready: dict[str, Frames], chunk: int) -> Iterator[dict[str, Frames]]:
+        out = self._within(ready)
+        self._seen += [name for name in out if name not in self._seen]
+        return pieces(out, chunk)
 
     def _within(self, ready: dict[str, Frames]) -> dict[str, Frames]:
         """Return the frames within the duration; the time between two tracks does not count."""
@@ -141,30 +139,22 @@ class ImcSource(LiveSource):
         mission = Waypoints(np.array(points), speed_m_s=o.speed_m_s)
         return Backseat(self._link, mission, z=o.z, near_m=o.near_m, log=self._log)
 
-    def _arriving(self) -> Iterator[dict[str, Frames]]:
-        reported_s = time.monotonic()
-        try:
-            while True:
-                stopping = self._stopping
-                tracks, received = self._tracks()
-                yield from self._made(tracks, received)
-                self.counters.report()
-                now = time.monotonic()
-                if not self._track.poses and now - reported_s > 5.0:
-                    reported_s = now
-                    what = f"{self._options.state} of " + (self._options.vehicle or "any vehicle")
-                    flown = "the drone's odometry" if self._link.connected else "a controller"
-                    self._log(f"waiting for {what if self._flight is None else flown}")
-                finished = self._backseat is not None and self._backseat.finished
-                no_more = (self._link.finished or stopping) and not len(self._link.events)
-                if finished or self._over() or (no_more and (stopping or not received)):
-                    if self._radars is None:
-                        yield self._assembler.give(final=True)
-                    return
-        finally:
-            self._track.finish()
-            for line in self.counters.lines():
-                self._log(line)
+    def _step(self, chunk: int, *, stopping: bool) -> Iterator[dict[str, Frames]]:
+        tracks, received = self._tracks()
+        for ready in self._made(tracks, received):
+            yield from self._pieces(ready, chunk)
+        if not self._track.poses and time.monotonic() - self._begun_s > PATIENCE_S:
+            what = f"{self._options.state} of " + (self._options.vehicle or "any vehicle")
+            flown = "the drone's odometry" if self._link.connected else "a controller"
+            self._log_throttled(f"waiting for {what if self._flight is None else flown}", kind="waiting")
+        finished = self._backseat is not None and self._backseat.finished
+        no_more = (self._link.finished or stopping) and not len(self._link.events)
+        self._ended = finished or self._over() or (no_more and (stopping or not received))
+        if self._ended and self._radars is None:
+            yield from self._pieces(self._assembler.give(final=True), chunk)
+
+    def _finish(self) -> None:
+        self._track.finish()
 
     def _made(self, tracks: list[list[BodyState]], received: bool) -> Iterator[dict[str, Frames]]:
         """Give the frames that are ready: simulated along the poses, or received."""
@@ -241,8 +231,7 @@ class ImcSource(LiveSource):
         """Return the vehicle's path, as far as it is kept."""
         return self._track.path()
 
-    def close(self) -> None:
-        """Close sockets, end threads, and release a led vehicle."""
+    def _release(self) -> None:
         if self._backseat is not None:
             self._backseat.release()
         if self._flight is not None:

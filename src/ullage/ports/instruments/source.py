@@ -118,7 +118,9 @@ class InstrumentSource(LiveSource):
         self.counters = Counters(self._log)
         self._inbox: Inbox[Scan | str] = Inbox(self.counters, lag_s=options.lag_s)
         self._clock, self._last_ns, self._first_ns = InstrumentClock(), 0, 0
-        self._closed = threading.Event()
+        self._scans: list[Scan] = []
+        self._given_s = self._heard_s = time.monotonic()
+        self._leaving = threading.Event()
         begin(instrument)
         self._thread = threading.Thread(target=self._receive, name=self.where, daemon=True)
         self._thread.start()
@@ -136,24 +138,24 @@ class InstrumentSource(LiveSource):
 
     def _receive(self) -> None:
         """Take scans until the end; where the instrument is gone, wait for it."""
-        while not self._closed.is_set():
+        while not self._leaving.is_set():
             try:
                 for scan in self._instrument.scans():
                     if scan.lost:
                         self.counters.receive(self._name, scan.lost)
                         self.counters.drop(self._name, "lost", "did not come whole", count=scan.lost)
                     self._inbox.put(scan, topic=self._name, size=scan.samples.nbytes)
-                    if self._closed.is_set():
+                    if self._leaving.is_set():
                         break
             except (OSError, InputError) as error:
-                if not self._closed.is_set():
+                if not self._leaving.is_set():
                     self._inbox.put(f"{self.where}: {_why(error)}; waiting for it")
                     self._await()
         self._instrument.close()
 
     def _await(self) -> None:
         self._instrument.close()
-        while not self._closed.wait(RETRY_S):
+        while not self._leaving.wait(RETRY_S):
             try:
                 begin(self._instrument)
             except (OSError, InputError):
@@ -161,30 +163,21 @@ class InstrumentSource(LiveSource):
             self._inbox.put(f"{self.where}: measures again")
             return
 
-    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Give frames as they come, at most `chunk` at once, until Ctrl-C, the given end, or `stop`."""
-        scans: list[Scan] = []
-        given_s = heard_s = time.monotonic()
-        try:
-            while not (self._closed.is_set() or self._over()):
-                item = self._inbox.get(BATCH_S)
-                now_s = time.monotonic()
-                if isinstance(item, str):
-                    self._log(item)
-                elif item is not None:
-                    scans.append(item)
-                    heard_s = now_s
-                elif now_s - heard_s > PATIENCE_S:
-                    self._log_throttled(f"{self.where}: no scan for {now_s - heard_s:.0f} s", kind="silent")
-                stopping = self._stopping and not len(self._inbox)
-                if scans and (len(scans) >= chunk or now_s - given_s >= BATCH_S or stopping):
-                    self.counters.report()
-                    yield {self._name: self._frames(scans)}
-                    scans, given_s = [], time.monotonic()
-                if stopping:
-                    return
-        finally:
-            self._report()
+    def _step(self, chunk: int, *, stopping: bool) -> Iterator[dict[str, Frames]]:
+        item = self._inbox.get(BATCH_S)
+        now_s = time.monotonic()
+        if isinstance(item, str):
+            self._log(item)
+        elif item is not None:
+            self._scans.append(item)
+            self._heard_s = now_s
+        elif (silent_s := now_s - self._heard_s) > PATIENCE_S:
+            self._log_throttled(f"{self.where}: no scan for {silent_s:.0f} s", kind="silent")
+        self._ended = stopping and not len(self._inbox)
+        if self._scans and (len(self._scans) >= chunk or now_s - self._given_s >= BATCH_S or self._ended):
+            scans, self._scans = self._scans, []
+            yield {self._name: self._frames(scans)}
+            self._given_s = time.monotonic()
 
     def _over(self) -> bool:
         wanted = self._options.duration_s
@@ -201,18 +194,17 @@ class InstrumentSource(LiveSource):
         samples = np.stack([scan.samples for scan in scans])
         return Frames(samples, spec.range_m, np.array(times), spec, sensor=self._name, unit=self._instrument.unit)
 
-    def _report(self) -> None:
-        for line in (*self.counters.lines(), *self._instrument.health()):
-            self._log(f"{self.where}: {line}")
+    def _lines(self) -> list[str]:
+        lines = [f"{self.where}: {line}" for line in (*self.counters.lines(), *self._instrument.health())]
         if self._first_ns:
-            self._log(
+            lines.append(
                 f"{self.where}: times by the instrument's counter, {self._clock.drift_ppm:+.0f} ppm off this clock; "
                 f"scans came with a jitter of {1e3 * self._clock.jitter_s:.1f} ms"
             )
+        return lines
 
-    def close(self) -> None:
-        """Let the instrument rest, and end the thread."""
-        self._closed.set()
+    def _release(self) -> None:
+        self._leaving.set()
         self._thread.join(5.0)
 
 

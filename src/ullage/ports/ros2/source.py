@@ -50,11 +50,12 @@ class Ros2Source(LiveSource):
         super().__init__(log=log, lag_s=options.lag_s)
         self._options = options
         self._incoming = Incoming(options, self._log_throttled)
+        self.counters = self._incoming.counters
         self._peer = peer or Peer(namespace, options)
         self._namespace = "/" + namespace.strip("/")
-        self._inbox: Inbox[tuple[str, Callable[..., None], tuple[Any, ...]]] = Inbox(self._incoming.counters)
+        self._inbox: Inbox[tuple[str, Callable[..., None], tuple[Any, ...]]] = Inbox(self.counters)
         self._subscribed: set[str] = set()
-        self._closed = self._passed = False
+        self._passed = False
         self._first_ns: int | None = None
         self._last_ns = 0
         self._searched_s = self._reported_s = 0.0
@@ -71,31 +72,25 @@ class Ros2Source(LiveSource):
         """Names of the radars found so far."""
         return self._incoming.sensors
 
-    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Give frames as they come, at most `chunk` of each radar at once, until Ctrl-C, the given end, or `stop`."""
-        try:
-            while not (self._closed or self._over()):
-                stopping = self._stopping
-                self._find_topics()
-                end = time.monotonic() + self._options.batch_s
-                while (left := end - time.monotonic()) > 0 and not (self._closed or stopping):
-                    self._take(min(left, 0.1))
-                self._take(0.0)
-                found = self._incoming.ready(chunk)
-                self._report()
-                if found:
-                    self._count(found)
-                    yield found
-                    self._given_s = time.monotonic()  # the consumer may have taken long
-                elif stopping:
-                    return
-                elif time.monotonic() - self._given_s > PATIENCE_S:
-                    self._log_throttled(self._why_nothing())
-        finally:
-            self._incoming.finish()
-            for line in self._incoming.counters.lines():
-                self._log(line)
-            self.close()
+    def _step(self, chunk: int, *, stopping: bool) -> Iterator[dict[str, Frames]]:
+        self._find_topics()
+        end = time.monotonic() + self._options.batch_s
+        while (left := end - time.monotonic()) > 0 and not (self._closed or stopping):
+            self._take(min(left, 0.1))
+        self._take(0.0)
+        found = self._incoming.ready(chunk)
+        self._report()
+        if found:
+            self._count(found)
+            yield found
+            self._given_s = time.monotonic()  # the consumer may have taken long
+        elif stopping:
+            self._ended = True
+        elif time.monotonic() - self._given_s > PATIENCE_S:
+            self._log_throttled(self._why_nothing())
+
+    def _finish(self) -> None:
+        self._incoming.finish()
 
     def _without_end(self) -> str:
         return "duration_s=, idle_s=" if self._options.duration_s is None and self._options.idle_s is None else ""
@@ -103,9 +98,7 @@ class Ros2Source(LiveSource):
     def _queue(self) -> Inbox[Any]:
         return self._inbox
 
-    def close(self) -> None:
-        """Leave the network."""
-        self._closed = True
+    def _release(self) -> None:
         self._peer.close()
 
     def _taker(self, topic: str, take: Callable[..., None], *first: Any, kept: bool = False) -> Callable[[bytes], None]:
@@ -178,7 +171,7 @@ class Ros2Source(LiveSource):
     def _lost(self, topic: str, count: int) -> None:
         """Count messages that the middleware lost; frames are counted by their numbers."""
         if not topic.endswith("/frame"):
-            self._incoming.counters.drop(topic, "lost", "the network or its queues", count=count)
+            self.counters.drop(topic, "lost", "the network or its queues", count=count)
 
     def _over(self) -> bool:
         length, idle = self._options.duration_s, self._options.idle_s
@@ -209,8 +202,7 @@ class Ros2Source(LiveSource):
         level = 0 if idle < 1.0 + self._options.patience_s else 1 if self._incoming.sensors else 3
         text = "frames come" if level == 0 else self._why_nothing()
         values = [("radars", ", ".join(self.sensors)), ("seconds since the last frame", f"{idle:.1f}")]
-        values += [*self._incoming.counters.values(), *self._load.values()]
-        self._incoming.counters.report()
+        values += [*self.counters.values(), *self._load.values()]
         t_ns = time.time_ns()
         data = encode.diagnostics_message(t_ns, level, f"{self._options.node}: source", text, values)
         self._peer.send(on("/diagnostics", t_ns, data))
