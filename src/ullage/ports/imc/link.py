@@ -12,7 +12,7 @@ from ullage.ports.imc.options import LinkOptions, endpoint
 from ullage.ports.imc.table import Table
 from ullage.ports.imc.wires import OUTBOX_BYTES, Entity, Identity, TcpWire, UdpWire, Wire
 from ullage.ports.intake import Counters, Inbox, Log, Once
-from ullage.ports.shared_links import SharedLinks
+from ullage.ports.network import SharedLinks
 
 NORMAL = 1
 QUERY = 1

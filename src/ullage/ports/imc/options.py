@@ -7,14 +7,14 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
-from ullage.errors import InputError, shown
+from ullage.errors import InputError
 from ullage.ports.cosimulation import SensingOptions
 from ullage.ports.geodetic import TRONDHEIM, Geodetic, datum_of
 from ullage.ports.imc.table import Table, from_xml, own
 from ullage.ports.live import point_of
+from ullage.ports.network import Place, place_of
 from ullage.specs import Spec
 
-PLACE = re.compile(r"(?:(tcp|udp)://([^/:\s]+)(?::(\d+))?/?)?")
 PLACES = "tcp://HOST:PORT (7001), udp://HOST:PORT (6002), or nothing: whoever announces itself"
 PORTS = {"tcp": 7001, "udp": 6002}
 
@@ -148,14 +148,10 @@ class LogSourceOptions(Spec):
     xml: str = Field("", description="an IMC.xml, for messages that our table lacks")
 
 
-def endpoint(place: str) -> tuple[Literal["tcp", "udp", ""], str, int]:
-    """Kind, host and port of a place.
+def endpoint(text: str) -> Place:
+    """Return kind, host and port of a place; all are empty where the text is.
 
     Raises:
         InputError: it is none.
     """
-    found = PLACE.fullmatch(place)
-    if not found or (found[3] and not (len(found[3]) < 6 and 0 < int(found[3]) < 65536)):
-        raise InputError(f"{shown(place)} is no place", where="imc", allowed=PLACES)
-    kind: Any = found[1] or ""
-    return kind, found[2] or "", int(found[3] or PORTS.get(kind, 0))
+    return place_of(text, PORTS, where="imc", allowed=PLACES) if text else Place("", "")

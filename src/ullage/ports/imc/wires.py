@@ -16,11 +16,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from ullage.errors import InputError
 from ullage.ports.imc.codec import NOBODY, Malformed, Message, Packet, Parser, decode, make, readable
 from ullage.ports.imc.options import LinkOptions
 from ullage.ports.imc.table import Table
 from ullage.ports.intake import Counters, Inbox, Log, Once
+from ullage.ports.network import address_of, bound_udp, udp_socket
 
 MOBILE_SENSOR = 7
 REPORT = 0
@@ -287,8 +287,8 @@ class UdpWire(Wire):
     ) -> None:
         super().__init__(options, table, log, counters)
         self._me, self._interface, port = own, options.interface, options.port
-        self._fixed = (_address(place[0]), place[1]) if place else None
-        self._local = ipaddress.ip_address(_address(self._interface)).is_loopback
+        self._fixed = (address_of(place[0], where="imc"), place[1]) if place else None
+        self._local = ipaddress.ip_address(address_of(self._interface, where="imc")).is_loopback
         self._sock = _bound(self._interface, range(port, port + TRIES) if port else range(1))
         self._announce_sockets = _announce_sockets(self._interface)
         self._peers: dict[int, Peer] = {}
@@ -422,42 +422,17 @@ class UdpWire(Wire):
             sock.close()
 
 
-def _address(host: str) -> str:
-    try:
-        return socket.gethostbyname(host)
-    except OSError:
-        raise InputError(f"no such host {host!r}", where="imc") from None
-
-
-def _socket() -> socket.socket:
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sock.setblocking(False)
-    return sock
-
-
 def _bound(interface: str, ports: range) -> socket.socket:
-    sock = _socket()
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+    sock, here = bound_udp(interface, ports, where="imc"), socket.inet_aton(address_of(interface, where="imc"))
     sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 1)
-    last: OSError | None = None
-    for port in ports:
-        try:
-            sock.bind((interface, port))
-            sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(_address(interface)))
-        except OSError as error:
-            last = error
-            continue
-        return sock
-    sock.close()
-    raise InputError(
-        f"cannot listen on {interface}: {last}", where="imc", allowed="interface= and port= of this machine"
-    )
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, here)
+    return sock
 
 
 def _announce_sockets(interface: str) -> list[socket.socket]:
     """Where announcements arrive: one of the known ports on this address, and the same port of the group."""
     for port in ANNOUNCE_PORTS:
-        sock = _socket()
+        sock = udp_socket()
         try:
             sock.bind((interface, port))
         except OSError:
@@ -468,10 +443,10 @@ def _announce_sockets(interface: str) -> list[socket.socket]:
 
 
 def _group(interface: str, port: int) -> list[socket.socket]:
-    sock = _socket()
+    sock = udp_socket()
     try:
         sock.bind((GROUP, port))
-        member = socket.inet_aton(GROUP) + socket.inet_aton(_address(interface))
+        member = socket.inet_aton(GROUP) + socket.inet_aton(address_of(interface, where="imc"))
         sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
     except OSError:  # multicast is not to be had here; announcements sent to our own address still arrive
         sock.close()

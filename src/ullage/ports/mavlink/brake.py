@@ -19,6 +19,7 @@ from ullage.arrays import Floats
 from ullage.config import GuardSpec
 from ullage.data import Trajectory
 from ullage.geometry import rpy_quat
+from ullage.ports.intake import Once
 from ullage.ports.mavlink.link import Link
 from ullage.ports.mavlink.options import SinkOptions
 from ullage.processing.guard import Guard
@@ -67,7 +68,7 @@ class ModeBrake:
         self._yaw = math.nan  # counter-clockwise from east [rad]
         self._unsafe_s: float | None = None  # when it was unsafe last; None: no event
         self._from, self._asks, self._asked_s, self._answer = -1, 0, 0.0, -1  # of the event
-        self._said: set[str] = set()
+        self._warn = Once(lambda text: send_text(link.dialect.MAV_SEVERITY_CRITICAL, text))
         link.watch = self._take
         link.request_hz = link.request_hz or POSES_HZ
 
@@ -156,9 +157,3 @@ class ModeBrake:
             )
         )  # fmt: skip
         self._asks, self._asked_s = self._asks + 1, now
-
-    def _warn(self, text: str) -> None:
-        """Show a text once."""
-        if text not in self._said:
-            self._said.add(text)
-            self._send_text(self._link.dialect.MAV_SEVERITY_CRITICAL, text)

@@ -12,10 +12,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ullage.errors import InputError
-from ullage.ports.intake import Counters, Inbox, Log
-from ullage.ports.mavlink.options import LinkOptions, Place, place_of
+from ullage.ports.intake import Counters, Inbox, Log, Once
+from ullage.ports.mavlink.options import LinkOptions, place_of
 from ullage.ports.mavlink.wire import Decoder, Sender, Wire, mavlink, open_wire
-from ullage.ports.shared_links import SharedLinks
+from ullage.ports.network import Place, SharedLinks
 
 Role = Literal["source", "sink"]
 POSES = ("ODOMETRY", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION", "ATTITUDE")
@@ -176,7 +176,7 @@ class Link:
         self._decoders: dict[Sender, Decoder] = {}
         self._questions: list[int] = []
         self._other_systems: set[int] = set()  # systems with an autopilot that is not ours
-        self._reported: set[str] = set()
+        self._once = Once(log)
         self._due_s = {"heartbeat": 0.0, "question": 0.0, "request": 0.0}
         self._lock = threading.Lock()
         self._met = threading.Event()
@@ -346,11 +346,6 @@ class Link:
                 entry = d.enums["MAV_RESULT"].get(result)
                 why = entry.name.removeprefix("MAV_RESULT_") if entry else str(result)
                 self._once(f"{self.name}: the autopilot does not set the rate of {kind} ({why})")
-
-    def _once(self, text: str) -> None:
-        if text not in self._reported and len(self._reported) < 100:
-            self._reported.add(text)
-            self._log(text)
 
     def _tick(self, now: float) -> None:
         if self._is_due("heartbeat", now, HEARTBEAT_S):

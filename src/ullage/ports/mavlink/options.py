@@ -3,44 +3,31 @@
 from __future__ import annotations
 
 import re
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from pydantic import Field
 
-from ullage.errors import InputError, shown
+from ullage.ports import network
 from ullage.ports.cosimulation import RadarOptions
+from ullage.ports.network import MOST_PORT, Place
 from ullage.specs import Spec
 
-PLACE = re.compile(r"(udp|udpin|tcp)://([^/:\s]+):(\d+)/?|serial://(/?[^\s?]+)")
+PORTS = {"udp": 0, "udpin": 0, "tcp": 0}
+SERIAL = re.compile(r"serial://(/?[^\s?]+)")
 PLACES = "udp://HOST:PORT (send there), udpin://HOST:PORT (listen there), tcp://HOST:PORT, or serial:///dev/NAME"
-MOST_PORT = 65535
 OBSTACLE_AVOIDANCE = 196
 """MAV_COMP_ID_OBSTACLE_AVOIDANCE."""
 
 
-class Place(NamedTuple):
-    """Address of an autopilot."""
-
-    kind: Literal["udp", "udpin", "tcp", "serial"]
-    host: str  # or the serial device
-    port: int = 0
-
-
 def place_of(text: str) -> Place:
-    """The parts of a place.
+    """Return the place of an autopilot; of a serial line its host is the device.
 
     Raises:
         InputError: it is none, or its port is out of range.
     """
-    found = PLACE.fullmatch(text)
-    if found is None:
-        raise InputError(f"{shown(text)} is not a place", where="mavlink", allowed=PLACES)
-    if found[4]:
-        return Place("serial", found[4])
-    if len(found[3]) > 5 or not 0 < int(found[3]) <= MOST_PORT:
-        raise InputError(f"port {shown(found[3])}", where="mavlink", allowed=f"1 to {MOST_PORT}")
-    kind: Literal["udp", "udpin", "tcp"] = found[1]  # type: ignore[assignment]  # one of the three in PLACE
-    return Place(kind, found[2], int(found[3]))
+    if serial := SERIAL.fullmatch(text):
+        return Place("serial", serial[1])
+    return network.place_of(text, PORTS, where="mavlink", allowed=PLACES)
 
 
 class LinkOptions(Spec):

@@ -14,7 +14,7 @@ from ullage.errors import InputError
 from ullage.geometry import apply, matrix_quat, quat_matrix, rpy_quat, transform
 from ullage.ports.cosimulation import CosimulationSource, rig_of, world_of
 from ullage.ports.intake import Counters, Log, checked_pose, warn
-from ullage.ports.live import options_of
+from ullage.ports.live import options_of, point_of
 from ullage.ports.mavlink.link import POSES, Link, PoseMessage, leave, open_link
 from ullage.ports.mavlink.options import SourceOptions
 from ullage.ports.ned import enu_position, enu_quat
@@ -157,14 +157,8 @@ def origin_of(text: str) -> Floats:
     Raises:
         InputError: it is neither.
     """
-    try:
-        numbers = [float(part) for part in text.split(",")] if text else [0.0, 0.0, 0.0]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (3, 4) or not np.isfinite(numbers).all():
-        raise InputError(f"origin is {text!r}", where="mavlink", allowed="X,Y,Z or X,Y,Z,YAW in metres and degrees")
-    yaw_deg = numbers[3] if len(numbers) == 4 else 0.0
-    return transform(numbers[:3], (0.0, 0.0, np.radians(yaw_deg)))
+    x, y, z, *yaw = point_of(text or "0,0,0", "origin", where="mavlink", yaw=True)
+    return transform((x, y, z), (0.0, 0.0, np.radians(yaw[0] if yaw else 0.0)))
 
 
 def staggered(radar: RadarSpec) -> RadarSpec:

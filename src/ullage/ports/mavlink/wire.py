@@ -13,7 +13,8 @@ from typing import Any, Protocol
 
 from ullage.errors import InputError, need
 from ullage.ports.intake import Counters, Log
-from ullage.ports.mavlink.options import LinkOptions, Place
+from ullage.ports.mavlink.options import LinkOptions
+from ullage.ports.network import Place, address_of, bound_udp
 
 DIALECT = "pymavlink.dialects.v20.ardupilotmega"
 """It holds the messages of `common`, which PX4 and ArduPilot share, and those that ArduPilot sends beside them."""
@@ -127,7 +128,7 @@ class UdpWire:
 
     def __init__(self, place: Place, options: LinkOptions) -> None:
         self.name = f"{place.kind}://{place.host}:{place.port}"
-        host = _address(place.host, self.name)
+        host = address_of(place.host, where=f"mavlink:{self.name}")
         local = ipaddress.ip_address(host).is_loopback
         if place.kind == "udpin":
             self._peer: Sender | None = None
@@ -136,7 +137,7 @@ class UdpWire:
             self._peer = (host, place.port)
             mine = (options.interface or ("127.0.0.1" if local else _route_to(host, place.port)), options.port)
         self._senders: dict[Sender, float] = {}  # who sent, and when
-        self._socket = _bound(mine, self.name)
+        self._socket = bound_udp(mine[0], [mine[1]], where=f"mavlink:{self.name}")
 
     def send(self, data: bytes) -> None:
         """Send one packet; it is lost where nobody takes it."""
@@ -302,7 +303,7 @@ class TcpWire(StreamWire):
 
     def __init__(self, place: Place, log: Log) -> None:
         name = f"tcp://{place.host}:{place.port}"
-        self._there = (_address(place.host, name), place.port)
+        self._there = (address_of(place.host, where=f"mavlink:{name}"), place.port)
         try:
             super().__init__(name, log)
         except OSError as error:
@@ -326,15 +327,6 @@ class TcpWire(StreamWire):
         return bytes(data)
 
 
-def _address(host: str, name: str) -> str:
-    try:
-        return socket.gethostbyname(host)
-    except OSError:
-        raise InputError(
-            f"no such host {host!r}", where=f"mavlink:{name}", allowed="a name or an IPv4 address"
-        ) from None
-
-
 def _route_to(host: str, port: int) -> str:
     """Return the address of this machine that reaches a host; empty where none does now."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
@@ -343,19 +335,6 @@ def _route_to(host: str, port: int) -> str:
         except OSError:
             return ""
         return str(trial.getsockname()[0])
-
-
-def _bound(mine: Sender, name: str) -> socket.socket:
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sock.setblocking(False)
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-    try:
-        sock.bind(mine)
-    except OSError as error:
-        sock.close()
-        what = f"cannot listen on {mine[0] or 'any address'} port {mine[1]}: {_reason(error)}"
-        raise InputError(what, where=f"mavlink:{name}", allowed="a free port of this machine") from None
-    return sock
 
 
 def _reason(error: Exception) -> str:

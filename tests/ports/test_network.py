@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ullage.ports.shared_links import SharedLinks
+from ullage.ports.network import SharedLinks
 
 
 @dataclass(eq=False)
