@@ -23,11 +23,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from ullage.data import Frames, gathered
-from ullage.ports import encode
-from ullage.ports import schema as ros
+from ullage.ports.diagnostics import Status
 from ullage.ports.intake import Counters, Inbox, LiveOptions
-from ullage.ports.process_load import ProcessLoad
-from ullage.ports.protocol import Passed
 from ullage.ports.publisher import is_present
 from ullage.processing.obstacles import STALE_S, ObstacleSectors, ObstacleStage
 from ullage.stop_signals import StopFlag
@@ -37,7 +34,6 @@ POLL_S = 0.05
 """How often the main thread looks for Ctrl-C while nothing comes [s]."""
 TOGETHER = 64
 """Frames of a radar that the slow stages take at once, of those that wait."""
-STATUS_S = 1.0
 FRESH_S = STALE_S / 2
 """Where obstacles are found, the source leaves out frames that are later [s]: no autopilot uses obstacles that old."""
 LATE_S = 1.0
@@ -211,8 +207,8 @@ class LiveLoop:
         self._working_s: float | None = None  # when the piece came that the slow stages have
         self._newest_ns = 0
         self._done_ns: int | None = None
-        self._most_behind_s = self._status_s = 0.0
-        self._load = ProcessLoad()
+        self._most_behind_s = 0.0
+        self._status = Status("ullage: run")
         self._reported_lost = 0
         self._on_lag: Callable[[float, int], None] | None = None
 
@@ -349,10 +345,8 @@ class LiveLoop:
 
     def _report(self) -> None:
         """Say once a second, also on `/diagnostics`, how far map and image are behind, however long they take."""
-        now = time.monotonic()
-        if now - self._status_s < STATUS_S:
+        if not self._status.is_due():
             return
-        self._status_s = now
         behind_s, lost = self.behind_s, self._backlog.lost
         if self._on_lag is not None:
             self._on_lag(behind_s, lost)
@@ -364,10 +358,8 @@ class LiveLoop:
             ("frames", str(self._count.frames)),
             ("frames left out", str(lost)),
             ("obstacles: 99 % within [s]", f"{self._delays.within_s(0.99):.3f}"),
-            *self._load.values(),
         ]
-        data = encode.diagnostics_message(self._newest_ns, int(late), "ullage: run", text, values)
-        self._publish(Passed(self._newest_ns, "/diagnostics", ros.DIAGNOSTICS, data), first=True)
+        self._publish(self._status.told(self._newest_ns, int(late), text, values), first=True)
 
     def _end(self, thread: threading.Thread) -> None:
         """End the source where it has not ended by itself."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
@@ -14,11 +15,15 @@ import numpy as np
 
 from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
-from ullage.ports.intake import PATIENCE_S, Counters, Inbox, checked_pose
+from ullage.geometry import rotations
+from ullage.ports.intake import PATIENCE_S, Counters, Inbox, Place, checked_pose
 
 Quat = tuple[float, float, float, float]
 Pose = tuple[tuple[float, float, float], Quat]
 """Position [m] and attitude xyzw in the world."""
+KEPT_NS = 30_000_000_000
+POSE_GAP_NS = 1_000_000_000
+"""Between two poses farther apart than this nothing is guessed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +50,52 @@ def path_along(states: Iterable[BodyState]) -> Trajectory:
     """Return the trajectory of states with rising times."""
     rows = [(one.t_ns, one.position, one.quat_xyzw, one.velocity, one.spin) for one in states]
     return Trajectory(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+class PoseTrack:
+    """Poses of one thing in the last half minute; between two, along a straight line and the great arc of attitudes.
+
+    Args:
+        gap_ns: between two poses farther apart nothing is guessed [ns].
+        fixed: the last pose holds for ever.
+    """
+
+    def __init__(self, *, gap_ns: int = POSE_GAP_NS, fixed: bool = False) -> None:
+        self.fixed, self._gap_ns = fixed, gap_ns
+        self._t_ns: deque[int] = deque()
+        self._poses: deque[tuple[Floats, Floats]] = deque()  # position (3) [m], quaternion xyzw (4)
+
+    def add(self, t_ns: int, position: Floats, quat_xyzw: Floats) -> bool:
+        """Add a pose, also a late one; return whether the clock stepped back, which clears all earlier poses."""
+        jumped = bool(self._t_ns) and t_ns < self._t_ns[-1] - self._gap_ns
+        if jumped or self.fixed:
+            self._t_ns.clear()
+            self._poses.clear()
+        row = bisect_left(self._t_ns, t_ns)
+        if row == len(self._t_ns) or self._t_ns[row] != t_ns:
+            self._t_ns.insert(row, t_ns)
+            self._poses.insert(row, (position, quat_xyzw))
+        while self._t_ns[-1] - self._t_ns[0] > KEPT_NS:
+            self._t_ns.popleft()
+            self._poses.popleft()
+        return jumped
+
+    def at(self, t_ns: int) -> Place[tuple[Floats, Floats]]:
+        """Return position (3) [m] and quaternion xyzw (4) at a time, once a pose at or after it is known."""
+        if self.fixed:
+            return Place("known", self._poses[-1])
+        row = bisect_left(self._t_ns, t_ns)
+        if row == len(self._t_ns):
+            return Place("wait")
+        if self._t_ns[row] == t_ns:
+            return Place("known", self._poses[row])
+        if row == 0 or self._t_ns[row] - self._t_ns[row - 1] > self._gap_ns:
+            return Place("never")
+        share = (t_ns - self._t_ns[row - 1]) / (self._t_ns[row] - self._t_ns[row - 1])
+        (a, turn_a), (b, turn_b) = self._poses[row - 1], self._poses[row]
+        before, after = rotations().from_quat(turn_a), rotations().from_quat(turn_b)
+        turn = before * rotations().from_rotvec(share * (before.inv() * after).as_rotvec())
+        return Place("known", (a + share * (b - a), turn.as_quat()))
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,8 +31,8 @@ def test_a_chain_is_the_product_of_its_links_at_that_time(t_s: float) -> None:
         transform((t_s, 0, 1), (0, 0, t_s)),
         transform((0.1, 0, 0), (0, 0.2, 0)),
     )
-    assert answer.status == "ok"
-    np.testing.assert_allclose(answer.matrix, odom @ body @ front, atol=1e-9)
+    assert answer.status == "known"
+    np.testing.assert_allclose(answer.pose, odom @ body @ front, atol=1e-9)
 
 
 def test_attitude_goes_along_the_great_arc() -> None:
@@ -40,29 +40,29 @@ def test_attitude_goes_along_the_great_arc() -> None:
     a, b = Rotation.from_euler("xyz", [0.3, -0.2, 0.1]), Rotation.from_euler("xyz", [1.5, 0.4, -2.0])
     out.add("map", "b", 0, np.zeros(3), a.as_quat())
     out.add("map", "b", S, np.zeros(3), -b.as_quat())  # the same attitude with the other sign
-    turn = Rotation.from_matrix(out.at("map", "b", S // 4).matrix[:3, :3])
+    turn = Rotation.from_matrix(out.at("map", "b", S // 4).pose[:3, :3])
     assert (a.inv() * turn).magnitude() == pytest.approx(0.25 * (a.inv() * b).magnitude())
 
 
 def test_what_is_not_known_says_why() -> None:
     known = tree()
     assert known.at("map", "front", 2 * S).status == "wait"
-    assert known.at("odom", "front", 2 * S).what == "odom to base_link"
-    assert known.at("map", "front", -1).status == "lost"
-    assert known.at("map", "left", 0).status == "unknown"
-    assert known.at("earth", "front", 0).what == "map is not joined to earth"
+    assert known.at("odom", "front", 2 * S).missing == "odom to base_link"
+    assert known.at("map", "front", -1).status == "never"
+    assert known.at("map", "left", 0).status == "wait"
+    assert known.at("earth", "front", 0).missing == "map is not joined to earth"
     known.add("odom", "base_link", 5 * S, np.zeros(3), rpy_quat(0, 0, 0))
-    assert known.at("odom", "base_link", 3 * S).status == "lost"  # nothing is guessed across a gap of 4 s
+    assert known.at("odom", "base_link", 3 * S).status == "never"  # nothing is guessed across a gap of 4 s
 
 
 def test_a_late_transform_slips_into_its_place_and_a_jump_back_forgets() -> None:
     out = Transforms()
     for t_ns in (0, 4, 2, 2):
         assert not out.add("map", "b", t_ns * S // 10, np.array([t_ns**2, 0, 0]), rpy_quat(0, 0, 0))
-    assert out.at("map", "b", S // 10).matrix[0, 3] == pytest.approx(2.0)  # between 0 and 4, not 0 and 16
+    assert out.at("map", "b", S // 10).pose[0, 3] == pytest.approx(2.0)  # between 0 and 4, not 0 and 16
     out.add("map", "b", 100 * S, np.zeros(3), rpy_quat(0, 0, 0))
     assert out.add("map", "b", 5 * S, np.ones(3), rpy_quat(0, 0, 0))
-    assert out.at("map", "b", 5 * S).matrix[0, 3] == 1
+    assert out.at("map", "b", 5 * S).pose[0, 3] == 1
     assert out.at("map", "b", 100 * S).status == "wait"
 
 
@@ -70,5 +70,5 @@ def test_old_poses_are_let_go() -> None:
     out = Transforms()
     for k in range(100):
         out.add("map", "b", k * S, np.zeros(3), rpy_quat(0, 0, 0))
-    assert out.at("map", "b", 68 * S).status == "lost"
-    assert out.at("map", "b", 70 * S).status == "ok"
+    assert out.at("map", "b", 68 * S).status == "never"
+    assert out.at("map", "b", 70 * S).status == "known"

@@ -13,14 +13,13 @@ from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.geometry import apply, matrix_quat, quat_matrix, rpy_quat, transform
 from ullage.ports.cosimulation import CosimulationSource, rig_of, world_of
-from ullage.ports.intake import Counters, Log, checked_pose, warn
+from ullage.ports.intake import Counters, Log, Place, PoseQueue, checked_pose, warn
 from ullage.ports.live import options_of, point_of
 from ullage.ports.mavlink.link import POSES, Link, PoseMessage, leave, open_link
 from ullage.ports.mavlink.options import SourceOptions
 from ullage.ports.ned import enu_position, enu_quat
-from ullage.ports.pose_events import EventFeed, ModelPose, Notice
+from ullage.ports.pose_events import EventFeed, ModelPose, Notice, PoseTrack
 from ullage.specs import RadarSpec
-from ullage.world.moving import between
 
 SYNC_S = 3.0
 """How long poses wait for TIMESYNC after the first one came [s]."""
@@ -52,8 +51,8 @@ class PoseBuilder:
         self, counters: Counters, wanted: Literal["auto", "odometry", "local"], world_from_local: Floats
     ) -> None:
         self._counters, self._wanted, self._origin = counters, wanted, world_from_local
-        self._attitudes: deque[tuple[int, Floats]] = deque(maxlen=MOST_WAITING)
-        self._waiting: deque[tuple[int, Floats]] = deque()  # positions that wait for a later attitude
+        self._attitudes = PoseTrack(gap_ns=APART_NS)
+        self._positions: PoseQueue[tuple[int, Floats]] = PoseQueue(counters, "LOCAL_POSITION_NED", most=MOST_WAITING)
         self._odometry_ns: int | None = None
         self._quaternions = False  # ATTITUDE_QUATERNION comes, so ATTITUDE is not needed
         self._resets: int | None = None
@@ -104,44 +103,23 @@ class PoseBuilder:
         if not np.isfinite(ned).all():
             self._counters.drop("LOCAL_POSITION_NED", "bad", "position is not finite")
             return
-        self._waiting.append((t_ns, ned))
-        if len(self._waiting) > MOST_WAITING:
-            self._waiting.popleft()
-            self._counters.drop("LOCAL_POSITION_NED", "no pose", "no attitude comes")
+        self._positions.put((t_ns, ned), time.monotonic())
 
     def _attitude(self, kind: str, t_ns: int, quat: Any) -> None:
         pose = checked_pose(np.zeros(3), quat)
         if isinstance(pose, str):
             self._counters.drop(kind, "bad", pose)
             return
-        if self._attitudes and t_ns < self._attitudes[-1][0]:  # the autopilot's clock went back: it was started again
-            self._attitudes.clear()
-            self._waiting = deque(one for one in self._waiting if one[0] <= t_ns)
-        if not self._attitudes or t_ns > self._attitudes[-1][0]:
-            self._attitudes.append((t_ns, pose[1]))
+        if self._attitudes.add(t_ns, *pose):
+            self._positions.clear("the autopilot was started again")
 
     def _matched(self) -> list[ModelPose]:
         """Positions whose time lies between two attitudes."""
-        out = []
-        while self._waiting and self._attitudes and self._waiting[0][0] <= self._attitudes[-1][0]:
-            t_ns, ned = self._waiting.popleft()
-            turn = self._attitude_at(t_ns)
-            if turn is None:
-                self._counters.drop("LOCAL_POSITION_NED", "no pose", "no attitude near its time")
-            else:
-                out.append(self._sighting(t_ns, ned, turn))
-        return out
+        ready = self._positions.ready(self._attitude_at, time.monotonic())
+        return [self._sighting(t_ns, ned, pose[1]) for (t_ns, ned), pose in ready]
 
-    def _attitude_at(self, t_ns: int) -> Floats | None:
-        after = next(k for k, (at, _) in enumerate(self._attitudes) if at >= t_ns)
-        at, quat = self._attitudes[after]
-        if at == t_ns:
-            return quat
-        if not after or at - self._attitudes[after - 1][0] > APART_NS:
-            return None
-        before = self._attitudes[after - 1]
-        known = (np.array([before[0], at]), np.zeros((2, 3)), np.array([before[1], quat]))
-        return np.asarray(between(known, np.array([t_ns], np.int64)).quat_xyzw[0])
+    def _attitude_at(self, position: tuple[int, Floats]) -> Place[tuple[Floats, Floats]]:
+        return self._attitudes.at(position[0])._replace(missing="no attitude near its time")
 
     def _sighting(self, t_ns: int, ned: Floats, ned_from_frd: Floats) -> ModelPose:
         at = apply(self._origin, enu_position(ned)[None])[0]

@@ -90,9 +90,9 @@ class PoseFeed(EventFeed[Received]):
         out = []
         for t_ns in dict.fromkeys(stamps):
             answer = self._transforms.at(self._options.map, self._options.frame_prefix + self._options.body, t_ns)
-            if answer.matrix is not None:
-                x, y, z = answer.matrix[:3, 3].tolist()
-                out += self._valid_pose(t_ns, (x, y, z), tuple(matrix_quat(answer.matrix[:3, :3]).tolist()))
+            if answer.pose is not None:
+                x, y, z = answer.pose[:3, 3].tolist()
+                out += self._valid_pose(t_ns, (x, y, z), tuple(matrix_quat(answer.pose[:3, :3]).tolist()))
         return out
 
     def _valid_pose(self, t_ns: int, at: tuple[float, float, float], turn: Any) -> list[ModelPose]:

@@ -281,18 +281,16 @@ class Incoming:
         name = radar.frame_id if self.transforms.knows(radar.frame_id) else self._body
         if not self.transforms.knows(name):
             return Place("wait", missing=f"nothing tells where {radar.frame_id or 'the radar'} or {name} is")
-        root, target = self.transforms.root(name), self._options.map
+        root, target = self.transforms.above(name)[-1], self._options.map
         if root != target:
             if not self.transforms.moves(name):
                 return Place("wait", missing=f"nothing tells where {root} is")
             text = f"{name} hangs on {root}, not on {target}; {root} is taken for the world until that changes"
             self._once(text, kind=root)
         answer = self.transforms.at(root if root != target else target, name, stamped.stamp_ns)
-        if answer.status != "ok" or answer.matrix is None:
-            return Place("never" if answer.status == "lost" else "wait", missing=answer.what)
-        if name == radar.frame_id:
-            return Place("known", answer.matrix)
-        return Place("known", answer.matrix @ made.spec.mount.body_from_sensor())
+        if answer.pose is None or name == radar.frame_id:
+            return answer
+        return Place("known", answer.pose @ made.spec.mount.body_from_sensor())
 
     def _together(self, radar: Radar, found: list[tuple[Stamped[Frames], Floats | None]]) -> Frames:
         parts = [stamped.item for stamped, _ in found]

@@ -10,9 +10,8 @@ from collections.abc import Mapping
 
 from ullage.data import Frames, sensors_of
 from ullage.errors import InputError, UllageWarning
-from ullage.ports import encode
 from ullage.ports import schema as ros
-from ullage.ports.process_load import ProcessLoad
+from ullage.ports.diagnostics import TOPIC, Status
 from ullage.ports.protocol import Item, Sink
 from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_present, on
 from ullage.ports.rate_limiter import LATE_S, RateLimiter, StampOrder
@@ -64,8 +63,9 @@ class Ros2Sink(Sink):
         self._sent_ns: int | None = None
         self._progress = threading.Condition()
         self._error: BaseException | None = None
-        self._map_subscribers, self._sent, self._late_s, self._reported_s = 0, 0, 0.0, time.monotonic()
-        self._health, self._load = HealthMonitor(), ProcessLoad()
+        self._map_subscribers, self._sent, self._late_s = 0, 0, 0.0
+        self._health, self._status = HealthMonitor(), Status(f"{options.node}: sink")
+        self._status.is_due()  # the first message comes a second from now
         self._closing = threading.Event()
         self._thread: threading.Thread | None = threading.Thread(target=self._run, name="ullage ros2", daemon=True)
         self._thread.start()
@@ -151,23 +151,21 @@ class Ros2Sink(Sink):
 
     def _report(self, t_ns: int) -> None:
         """Check for new subscribers of the map and publish diagnostics, once a second."""
-        now = time.monotonic()
-        if now - self._reported_s < 1.0:
+        if not self._status.is_due():
             return
         subscribers = self._peer.listeners("map")
         self._publisher.map_changes.wanted |= subscribers > self._map_subscribers
         self._map_subscribers = subscribers
-        late, rate = self._late_s, self._sent / (now - self._reported_s)
+        late, rate = self._late_s, self._sent / self._status.span_s
         faults, behind = self._health.faulty(), [f"{late:.1f} s behind its pace"] if late >= LATE_S else []
         text = ", ".join([*faults, *behind]) or "publishing"
         values = [("messages a second", f"{rate:.1f}"), ("most behind [s]", f"{late:.3f}")]
         values += [("waiting messages", str(self._messages.qsize()))]
         values += [(f"{topic}: frames", str(count)) for topic, count in self._publisher.counts.items()]
-        values += [("faults so far", "; ".join(self._health.lines())), *self._load.values()]
+        values += [("faults so far", "; ".join(self._health.lines()))]
         level = 2 if faults else int(late >= LATE_S)
-        data = encode.diagnostics_message(t_ns, level, f"{self._options.node}: sink", text, values)
-        self._peer.send(on("/diagnostics", t_ns, data))
-        self._sent, self._late_s, self._reported_s = 0, 0.0, now
+        self._peer.send(on(TOPIC, t_ns, self._status.told(t_ns, level, text, values).data))
+        self._sent, self._late_s = 0, 0.0
 
     def close(self) -> None:
         """Publish the waiting messages, stay for the requested time, and leave the network."""

@@ -9,11 +9,10 @@ from typing import Any
 
 from ullage.data import Frames
 from ullage.errors import InputError
-from ullage.ports import encode
 from ullage.ports import schema as ros
+from ullage.ports.diagnostics import TOPIC, Status
 from ullage.ports.intake import PATIENCE_S, Inbox, Log
 from ullage.ports.live import LiveSource, options_of
-from ullage.ports.process_load import ProcessLoad
 from ullage.ports.protocol import Passed, Source
 from ullage.ports.publisher import on
 from ullage.ports.ros2.incoming import Incoming
@@ -58,8 +57,8 @@ class Ros2Source(LiveSource):
         self._passed = False
         self._first_ns: int | None = None
         self._last_ns = 0
-        self._searched_s = self._reported_s = 0.0
-        self._load = ProcessLoad()
+        self._searched_s = 0.0
+        self._status = Status(f"{options.node}: source")
         self._given_s = time.monotonic()
         for topic, depth in (("/tf", None), ("/tf_static", 100)):
             fixed = topic == "/tf_static"
@@ -194,18 +193,14 @@ class Ros2Source(LiveSource):
 
     def _report(self) -> None:
         """Publish diagnostics once a second."""
-        now = time.monotonic()
-        if now - self._reported_s < 1.0:
+        if not self._status.is_due():
             return
-        self._reported_s = now
-        idle = now - self._given_s
+        idle = time.monotonic() - self._given_s
         level = 0 if idle < 1.0 + self._options.patience_s else 1 if self._incoming.sensors else 3
         text = "frames come" if level == 0 else self._why_nothing()
         values = [("radars", ", ".join(self.sensors)), ("seconds since the last frame", f"{idle:.1f}")]
-        values += [*self.counters.values(), *self._load.values()]
-        t_ns = time.time_ns()
-        data = encode.diagnostics_message(t_ns, level, f"{self._options.node}: source", text, values)
-        self._peer.send(on("/diagnostics", t_ns, data))
+        told = self._status.told(time.time_ns(), level, text, [*values, *self.counters.values()])
+        self._peer.send(on(TOPIC, told.t_ns, told.data))
 
 
 def open_source(namespace: str, options: dict[str, Any]) -> Source:

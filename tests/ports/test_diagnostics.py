@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
+from ullage.ports.diagnostics import RadarStatus, Status, resident_bytes
 from ullage.ports.intake import Counters
-from ullage.ports.process_load import ProcessLoad, resident_bytes
-from ullage.ports.radar_status import RadarStatus
 from ullage.ports.schema import DIAGNOSTICS, typestore
+
+
+def values_of(passed):
+    told = typestore().deserialize_cdr(passed.data, DIAGNOSTICS).status[0].values
+    return {pair.key: pair.value for pair in told}
 
 
 def test_cpu_is_the_share_of_the_time_since_the_last_report():
     wall, spent = iter((0.0, 2.0, 3.0)), iter((10.0, 11.0, 13.0))
-    load = ProcessLoad(now=lambda: next(wall), cpu=lambda: next(spent))
-    assert [dict(load.values())["CPU [% of a core]"] for _ in range(2)] == ["50", "200"]  # of two cores
+    status = Status("run", now=lambda: next(wall), cpu=lambda: next(spent))
+    for percent in ("50", "200"):  # of two cores
+        assert status.is_due()
+        assert values_of(status.told(0, 0, "", []))["CPU [% of a core]"] == percent
 
 
 def test_memory_grows_by_what_is_allocated():
@@ -26,7 +32,6 @@ def test_memory_grows_by_what_is_allocated():
 def test_the_status_of_simulated_radars_tells_both():
     passed = RadarStatus("radars", late_s=1.0).message(0, Counters())
     assert passed is not None
-    told = typestore().deserialize_cdr(passed.data, DIAGNOSTICS).status[0].values
-    found = {pair.key: float(pair.value) for pair in told if pair.key.startswith(("CPU", "memory"))}
+    found = {key: float(value) for key, value in values_of(passed).items() if key.startswith(("CPU", "memory"))}
     assert set(found) == {"CPU [% of a core]", "memory [MB]"}
     assert found["memory [MB]"] > 20
