@@ -55,6 +55,12 @@ LISTED = ", ".join(f"{scheme}:" for scheme in LIVE)
 LISTED_SINKS = ", ".join(f"{scheme}:" for scheme, port in LIVE.items() if port.sink)
 
 
+def named(place: str) -> Any:
+    """Import what `module.name` beneath `ullage.ports` names."""
+    module, _, name = place.rpartition(".")
+    return getattr(importlib.import_module(f"ullage.ports.{module}"), name)
+
+
 class LiveSource(Source):
     """Source that measures continuously: its stream can be read once, and the past is not available.
 
@@ -213,8 +219,8 @@ class Address:
     def part(self, name: Part) -> Callable[..., Any] | None:
         """Return what opens a part of the port; None if the port has no such part."""
         if self.scheme in LIVE:
-            module, _, made = getattr(LIVE[self.scheme], name).rpartition(".")
-            return getattr(importlib.import_module(f"ullage.ports.{module}"), made) if made else None
+            place = getattr(LIVE[self.scheme], name)
+            return named(place) if place else None
         group = {"source": ADDED[0], "sink": ADDED[1]}.get(name)
         return plugins.load(group, self.scheme) if group is not None else None
 

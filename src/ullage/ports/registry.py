@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import logging
 import os
@@ -16,7 +15,7 @@ from ullage.errors import InputError, need, shown
 from ullage.grids import OccupancyMap
 from ullage.ports.arrays import refuse_pickle
 from ullage.ports.guarded import GuardedSource, only_files
-from ullage.ports.live import LISTED, LISTED_SINKS, LIVE, Address
+from ullage.ports.live import LISTED, LISTED_SINKS, LIVE, Address, named
 from ullage.ports.protocol import Item, Sink, Source, WholeSource
 from ullage.ports.tracked import open_tracked
 from ullage.untrusted import load_yaml, read_yaml, reading, regular_size
@@ -28,34 +27,36 @@ SOURCES = (
     "(mocap.csv, track.csv, .txt, .ulg, .bin, .nmea, .mcap, .bag)"
 )
 SINKS = f".mcap, a folder, .zarr, .lsf, .lsf.gz, a map: .yaml, .bt, .ot, .ply; or live: {LISTED_SINKS}"
-LOGS = (".lsf", ".lsf.gz")
 NEEDED = {"ros2": ("rclpy",), "gazebo": ("zmq", "google.protobuf"), "mavlink": ("pymavlink",)}
 """Libraries of live ports beyond those of every installation, in the extra of the port's name."""
 FILES = {
-    ".mcap": ("ros2.bags", "open_mcap"),
-    ".zarr": ("store", "ZarrSource"),
-    ".dat": ("x4", "X4Source"),
-    ".npz": ("tracked", "open_arrays"),
-    ".mat": ("tracked", "open_arrays"),
-    ".h5": ("tracked", "open_arrays"),
-    ".hdf5": ("tracked", "open_arrays"),
-    ".out": ("tracked", "open_log"),
-    ".json": ("tracked", "open_log"),
-    ".bag": ("ros2.bags", "RosbagSource"),
-    ".db3": ("ros2.bags", "RosbagSource"),
+    ".mcap": ("ros2.bags.open_mcap", "bag.McapSink"),
+    ".zarr": ("store.ZarrSource", "store.ZarrSink"),
+    ".lsf": ("imc.lsf.LsfSource", "imc.lsf.LsfSink"),
+    ".lsf.gz": ("imc.lsf.LsfSource", "imc.lsf.LsfSink"),
+    ".dat": ("x4.X4Source", ""),
+    ".npz": ("tracked.open_arrays", ""),
+    ".mat": ("tracked.open_arrays", ""),
+    ".h5": ("tracked.open_arrays", ""),
+    ".hdf5": ("tracked.open_arrays", ""),
+    ".out": ("tracked.open_log", ""),
+    ".json": ("tracked.open_log", ""),
+    ".bag": ("ros2.bags.RosbagSource", ""),
+    ".db3": ("ros2.bags.RosbagSource", ""),
 }
-OWN_SINKS = {".zarr": ("store", "ZarrSink"), ".mcap": ("bag", "McapSink"), "folder": ("bag", "McapSink")}
+"""Reader and writer of each kind of file, as `module.name` beneath `ullage.ports`."""
 RADARS = (".out", ".npz", ".mat", ".h5", ".dat", ".json")
 """Kinds of `radar.*` in a folder with a track."""
 BESIDE = ("track", "topic", "datum", "mount")
 """Options of a track beside a recording."""
 MAPS = {
-    ".yaml": ("maps", "write_map_server", "read_map_server"),
-    ".pgm": ("maps", "write_map_server", "read_map_server"),
-    ".bt": ("octomap", "write_octomap", "read_octomap"),
-    ".ot": ("octomap", "write_octomap", "read_octomap"),
-    ".ply": ("ply", "write_ply", "read_ply"),
+    ".yaml": ("maps.read_map_server", "maps.write_map_server"),
+    ".pgm": ("maps.read_map_server", "maps.write_map_server"),
+    ".bt": ("octomap.read_octomap", "octomap.write_octomap"),
+    ".ot": ("octomap.read_octomap", "octomap.write_octomap"),
+    ".ply": ("ply.read_ply", "ply.write_ply"),
 }
+"""The same of map files."""
 
 
 def open(target: str | Path, **options: Any) -> Source:
@@ -86,7 +87,7 @@ def open(target: str | Path, **options: Any) -> Source:
 
 def reads(path: Path) -> bool:
     """Whether a reader of recordings takes such a name: a folder, or a file by its suffix."""
-    known = (*FILES, *LOGS, *(name for name in plugins.names("ullage.sources") if name.startswith(".")))
+    known = (*FILES, *(name for name in plugins.names("ullage.sources") if name.startswith(".")))
     return os.path.isdir(path) or path.name.lower().endswith(known)
 
 
@@ -117,18 +118,18 @@ def _opened(path: Path, options: dict[str, Any]) -> Source:
     else:
         regular_size(path, allowed=SOURCES)
         refuse_pickle(path)
-    if path.name.lower().endswith(LOGS):
-        from ullage.ports.imc.lsf import LsfSource
-
-        return LsfSource(path, **options)
-    if path.suffix.lower() in FILES:
-        if options.get("track"):
-            return _on_track(path, options)
-        return _open_file(path, options)
+    if suffix_of(path) in FILES:
+        return _on_track(path, options) if options.get("track") else _open_file(path, options)
     reader: Callable[..., Source] | None = plugins.load("ullage.sources", path.suffix.lower())
     if reader is not None:
         return with_options(reader, path, options)
     raise InputError("not a recording", where=path, allowed=_with_added(SOURCES, "ullage.sources"))
+
+
+def suffix_of(path: Path) -> str:
+    """Return the suffix of a file in small letters; that of a packed log has two parts."""
+    kind = path.suffix.lower()
+    return f".lsf{kind}" if path.name.lower().endswith(".lsf.gz") else kind
 
 
 def _with_added(allowed: str, group: plugins.Group) -> str:
@@ -154,36 +155,24 @@ def sink(target: str | Path, **options: Any) -> Sink:
         return address.sink()
     check_beside(path)
     kind = _kind_of_sink(path)
-    if kind == "map":
+    if kind in MAPS:
         return MapSink(path, **options)
-    if kind == "log":
-        from ullage.ports.imc.lsf import LsfSink
-
-        return LsfSink(path, **options)
-    if kind in OWN_SINKS:
-        module, name = OWN_SINKS[kind]
-        writer: Any = getattr(importlib.import_module(f"ullage.ports.{module}"), name)
-    else:
-        writer = plugins.load("ullage.sinks", kind)
-    made: Sink = with_options(writer, path, options)
+    name = FILES[kind or ".mcap"][1] if kind in ("", *FILES) else ""
+    made: Sink = with_options(named(name) if name else plugins.load("ullage.sinks", kind), path, options)
     return made
 
 
 def _kind_of_sink(path: Path) -> str:
-    """Return map, log, folder, or the suffix of a file that is written.
+    """Return the suffix of a file or map that is written; empty for a folder.
 
     Raises:
         InputError: nothing writes files of this kind.
     """
-    suffix = path.suffix.lower()
-    if suffix in MAPS:
-        return "map"
-    if path.name.lower().endswith(LOGS):
-        return "log"
-    if suffix != ".zarr" and (path.is_dir() or (not suffix and not path.is_file())):
-        return "folder"
-    if suffix in OWN_SINKS or suffix in plugins.names("ullage.sinks"):
-        return suffix
+    kind = suffix_of(path)
+    if kind not in (*MAPS, ".zarr") and (path.is_dir() or (not kind and not path.is_file())):
+        return ""
+    if kind in MAPS or FILES.get(kind, ("", ""))[1] or kind in plugins.names("ullage.sinks"):
+        return kind
     raise InputError("not something to write to", where=path, allowed=_with_added(SINKS, "ullage.sinks"))
 
 
@@ -204,10 +193,10 @@ def check_sink(target: str | Path) -> None:
     kind = _kind_of_sink(path)
     if kind == ".zarr":
         need("zarr", extra="zarr")
-    if kind == "map":
+    if kind in MAPS:
         check_beside(path)  # a map replaces the one before
     else:
-        check_new(path / "frames.mcap" if path.is_dir() and kind == "folder" else path)
+        check_new(path / "frames.mcap" if path.is_dir() and not kind else path)
 
 
 def check_new(path: Path) -> None:
@@ -253,9 +242,7 @@ def write_map(omap: OccupancyMap, path: str | Path, **options: Any) -> None:
     kind = Path(path).suffix.lower()
     if kind not in MAPS:
         raise InputError("not a map file", where=path, allowed=", ".join(MAPS))
-    module, write, _ = MAPS[kind]
-    writer = partial(getattr(importlib.import_module(f"ullage.ports.{module}"), write), omap)
-    with_options(writer, Path(path), options)
+    with_options(partial(named(MAPS[kind][1]), omap), Path(path), options)
 
 
 def read_map(path: str | Path, **options: Any) -> OccupancyMap:
@@ -267,8 +254,7 @@ def read_map(path: str | Path, **options: Any) -> OccupancyMap:
     kind = Path(path).suffix.lower()
     if kind not in MAPS or kind == ".pgm":
         raise InputError("not a map file", where=path, allowed=", ".join(k for k in MAPS if k != ".pgm"))
-    module, _, read = MAPS[kind]
-    reader: Callable[..., OccupancyMap] = getattr(importlib.import_module(f"ullage.ports.{module}"), read)
+    reader: Callable[..., OccupancyMap] = named(MAPS[kind][0])
     if not os.path.exists(path):
         raise InputError("cannot read: no such file", where=path)
     regular_size(path, allowed="a map file")
@@ -298,8 +284,9 @@ class MapSink(Sink):
 
 def with_options(make: Callable[..., Made], path: Path, options: dict[str, Any]) -> Made:
     """Make a source or sink; an unknown option gives one line."""
-    known = list(inspect.signature(make).parameters)[1:]
-    for name in options:
+    parameters = list(inspect.signature(make).parameters.values())[1:]
+    known = [one.name for one in parameters]
+    for name in options if not any(one.kind is one.VAR_KEYWORD for one in parameters) else ():
         if name not in known:
             raise InputError(f"no option {name!r}", where=path, allowed=", ".join(known) or "none")
     return make(path, **options)
@@ -331,14 +318,13 @@ def _on_track(path: Path, options: dict[str, Any]) -> Source:
     """Open the recording of a radar and put it on its track."""
     beside = {name: options[name] for name in BESIDE if name in options}
     own = {name: value for name, value in options.items() if name not in BESIDE}
-    if FILES[path.suffix.lower()][1] == "open_arrays" and "mount" in options:
+    if FILES[suffix_of(path)][0] == "tracked.open_arrays" and "mount" in options:
         own["mount"] = options["mount"]  # for poses in the file itself
     return open_tracked(path, _open_file(path, own), **beside)
 
 
 def _open_file(path: Path, options: dict[str, Any]) -> Source:
-    module, name = FILES[path.suffix.lower()]
-    reader: Callable[..., Source] = getattr(importlib.import_module(f"ullage.ports.{module}"), name)
     if path.suffix.lower() == ".db3" and os.path.exists(metadata := path.parent / "metadata.yaml"):
         read_yaml(metadata)  # the library that reads it knows no limits
+    reader: Callable[..., Source] = named(FILES[suffix_of(path)][0])
     return with_options(reader, path, options)
