@@ -33,6 +33,18 @@ def record(path: Path, *items: object) -> Path:
     return path
 
 
+def written(path: Path, *messages: tuple[str, str, bytes]) -> Path:
+    """A recording of other programs with these messages: topic, type and bytes."""
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        for topic, kind, data in messages:
+            schema = writer.register_schema(kind, "ros2msg", ros.schema_text(kind).encode())
+            writer.add_message(writer.register_channel(topic, "cdr", schema), 0, data, 0)
+        writer.finish()
+    return path
+
+
 KINDS = ["a.mcap", "run", *(["a.zarr"] if find_spec("zarr") else [])]
 
 
@@ -191,14 +203,7 @@ def test_maps_as_ros_has_them(tmp_path: Path) -> None:
     message = ros.from_bytes(ros.GRID, data)
     np.testing.assert_array_equal(message.data, np.maximum(percent, -1).ravel())
     assert (message.info.width, message.info.height, message.header.stamp.nanosec) == (5, 6, 7)
-    path = tmp_path / "other.mcap"
-    with open(path, "wb") as file:
-        writer = Writer(file)
-        writer.start(profile="ros2")
-        schema = writer.register_schema(ros.GRID, "ros2msg", ros.schema_text(ros.GRID).encode())
-        writer.add_message(writer.register_channel("/map", "cdr", schema), 0, data, 0)
-        writer.finish()
-    got = ul.open(path).map()
+    got = ul.open(written(tmp_path / "other.mcap", ("/map", ros.GRID, data))).map()
     assert got is not None
     assert got.grid == grid
     np.testing.assert_array_equal(got.percent, np.maximum(percent, -1))
@@ -242,14 +247,8 @@ def test_a_damaged_message_costs_only_itself(tmp_path: Path, frames: ul.Frames) 
     size = ros.layout(ros.FRAME, b"front", b"front", 48).dtype.fields["believed"][1]  # type: ignore[index]
     messages[7] = messages[7][: size + 24] + bytes(32) + messages[7][size + 56 :]  # a quaternion of length 0
     messages[20] = messages[20][:4] + (10**9).to_bytes(4, "little") + messages[20][8:]  # a stamp of another year
-    path = tmp_path / "a.mcap"
-    with open(path, "wb") as file:
-        writer = Writer(file)
-        writer.start(profile="ros2")
-        for kind, data in [(ros.SETTINGS, conversions.settings_message(frames)), *((ros.FRAME, n) for n in messages)]:
-            schema = writer.register_schema(kind, "ros2msg", ros.schema_text(kind).encode())
-            writer.add_message(writer.register_channel(f"/{kind}", "cdr", schema), 0, data, 0)
-        writer.finish()
+    settings_first = ("/settings", ros.SETTINGS, conversions.settings_message(frames))
+    path = written(tmp_path / "a.mcap", settings_first, *(("/frame", ros.FRAME, data) for data in messages))
     with pytest.warns(ul.UllageWarning, match=r"a\.mcap: front: dropped 2 bad"):
         got = ul.open(path).frames()
     assert_same(got, frames[np.delete(np.arange(len(frames)), [7, 20])])
@@ -262,15 +261,8 @@ def test_times_that_ros_cannot_say_are_refused(tmp_path: Path, frames: ul.Frames
 
 
 def test_frames_without_settings_are_read_as_assumed(tmp_path: Path, frames: ul.Frames) -> None:
-    path = tmp_path / "a.mcap"
-    with open(path, "wb") as file:
-        writer = Writer(file)
-        writer.start(profile="ros2")
-        schema = writer.register_schema(ros.FRAME, "ros2msg", ros.schema_text(ros.FRAME).encode())
-        channel = writer.register_channel("/somewhere", "cdr", schema)
-        for t_ns, data in zip(frames.t_ns.tolist(), conversions.frame_messages(frames, 0), strict=True):
-            writer.add_message(channel, t_ns, data, t_ns)
-        writer.finish()
+    messages = (("/somewhere", ros.FRAME, data) for data in conversions.frame_messages(frames, 0))
+    path = written(tmp_path / "a.mcap", *messages)
     with pytest.warns(ul.UllageWarning, match="no settings were recorded"):
         got = ul.open(path).frames()
     assert got.samples.tobytes() == frames.samples.tobytes()

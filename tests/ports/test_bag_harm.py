@@ -25,19 +25,12 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader, AnyReaderError
+from test_bag import record
 
 import ullage as ul
 from ullage.ports import Sink
 from ullage.ports.bag import McapSink
 from ullage.ports.repair import repair_bag
-
-
-def record(path: Path, *items: object) -> Path:
-    with ul.sink(path) as sink:
-        for item in items:
-            sink.write(item)
-    return path
-
 
 WRITER = """
     import sys, time, numpy as np

@@ -61,16 +61,6 @@ def test_frames_are_those_of_a_simulation_along_the_same_path():
         np.testing.assert_allclose(got, want.samples, atol=1e-6)
 
 
-def test_bunches_change_no_bit():
-    events = line()
-    torn = [e for sighting in events for e in (sighting, None)]
-    one, other = followed(events)[0], followed(torn, chunk=3)[0]
-    for name in RIG.sensors:
-        a, b = (np.concatenate([f.samples for f in whole(p, name)]) for p in (one, other))
-        assert a.tobytes() == b.tobytes()
-    assert len(other) > len(one)
-
-
 def test_time_that_jumps_back_begins_anew_and_still_rises():
     said = []
     pieces, script = followed([*line(), *line()], said=said)
@@ -84,12 +74,39 @@ def test_time_that_jumps_back_begins_anew_and_still_rises():
     assert sorted(set(np.concatenate(back))) == sorted(set(times[:21]))  # published by the simulator's own clock
 
 
-def test_a_pose_that_comes_late_or_twice_is_passed_by():
-    events = line()
+def muddled(events):
+    return [e for k, s in enumerate(events) for e in ([s, s, events[k - 1]] if k else [s])]
+
+
+def far_off(events):
+    events.insert(50, ModelPose(6000 * 10**9, (0, 0, 0), (0, 0, 0, 1)))
+    events.insert(20, ModelPose(1000 * 10**9, (0, 0, 0), (0, 0, 0, 1)))
+    return events
+
+
+def with_bad(position, quat):
+    def made(events):
+        for k in (0, 30, 60):
+            events.insert(k, ModelPose(events[k].t_ns + 1, position, quat))
+        return events
+
+    return made
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (muddled, "x: dropped 100 late"),
+        (far_off, "x: dropped 2 bad (a single stamp -4000.38 s away; a single stamp +999"),
+        (with_bad((np.nan, 0, 0), (0, 0, 0, 1)), "x: dropped 3 bad (position is not finite)"),
+        (with_bad((0, 0, 0), (0, 0, np.inf, 1)), "x: dropped 3 bad (quaternion is not finite)"),
+        (with_bad((0, 0, 0), (0, 0, 0, 2)), "x: dropped 3 bad (quaternion is not of unit length)"),
+    ],
+)
+def test_poses_that_are_late_twice_far_off_or_none_are_counted_and_change_no_bit(change, words):
     said = []
-    muddled = [e for k, s in enumerate(events) for e in ([s, s, events[k - 1]] if k else [s])]
-    clean, pieces = followed(events)[0], followed(muddled, said=said)[0]
-    assert said[-1] == "x: dropped 100 late"
+    clean, pieces = followed(line(5000, 5002))[0], followed(change(line(5000, 5002)), said=said)[0]
+    assert said[-1].startswith(words)
     for name in RIG.sensors:
         a, b = (np.concatenate([f.samples for f in whole(p, name)]) for p in (clean, pieces))
         assert a.tobytes() == b.tobytes()
@@ -115,51 +132,10 @@ def test_a_step_of_an_hour_begins_a_track_and_computes_nothing_between(step_s):
     assert own[-1] == round((5004 + step_s) * 1e9)  # published by the simulator's own clock
 
 
-def test_one_pose_far_off_is_left_out():
-    events = line(5000, 5002)
-    clean = followed(events)[0]
-    events.insert(50, ModelPose(6000 * 10**9, (0, 0, 0), (0, 0, 0, 1)))
-    events.insert(20, ModelPose(1000 * 10**9, (0, 0, 0), (0, 0, 0, 1)))
-    said = []
-    pieces = followed(events, said=said)[0]
-    assert said[-1].startswith("x: dropped 2 bad (a single stamp -4000.38 s away; a single stamp +999")
-    for name in RIG.sensors:
-        a, b = (np.concatenate([f.samples for f in whole(p, name)]) for p in (clean, pieces))
-        assert a.tobytes() == b.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("position", "quat", "words"),
-    [
-        ((np.nan, 0, 0), (0, 0, 0, 1), "position is not finite"),
-        ((0, 0, 0), (0, 0, np.inf, 1), "quaternion is not finite"),
-        ((0, 0, 0), (0, 0, 0, 2), "quaternion is not of unit length"),
-        ((0, 0, 0), (0, 0, 0, 0), "quaternion is not of unit length"),
-    ],
-)
-def test_poses_that_are_none_are_counted_and_left_out(position, quat, words):
-    events, said = line(), []
-    clean = followed(line())[0]
-    for k in (0, 30, 60):
-        events.insert(k, ModelPose(events[k].t_ns + 1, position, quat))
-    pieces = followed(events, said=said)[0]
-    assert said[-1] == f"x: dropped 3 bad ({words})"
-    for name in RIG.sensors:
-        a, b = (np.concatenate([f.samples for f in whole(p, name)]) for p in (clean, pieces))
-        assert a.tobytes() == b.tobytes()
-
-
 def test_the_asked_duration_counts_the_tracks_alone():
     pieces, _ = followed([*line(5, 6), *shifted(line(6, 9), 3600)], duration_s=2.0, chunk=4)
     times = np.concatenate([f.t_ns for f in whole(pieces, "left")])
     assert 3607.0e9 <= times[-1] < 3607.5e9
-
-
-def test_it_ends_after_the_asked_duration():
-    pieces, _ = followed(line(5.0, 9.0), duration_s=1.0, chunk=4)
-    times = np.concatenate([f.t_ns for f in whole(pieces, "left")])
-    assert times[0] == 5_000_000_000
-    assert 6_000_000_000 <= times[-1] < 6_500_000_000
 
 
 def test_notes_are_said_but_not_over_and_over():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -480,16 +481,19 @@ def test_map_sinks_keep_the_last_map(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.pgm", "a.yaml"]  # nothing temporary stays
 
 
+def recorded(path: Path, topic: str) -> list[Any]:
+    """Messages of a topic of a recording."""
+    with AnyReader([path], default_typestore=ros.typestore()) as reader:
+        return [reader.deserialize(data, one.msgtype) for one, _, data in reader.messages() if one.topic == topic]
+
+
 def test_viewers_get_the_known_cells_of_a_plane_map_and_no_unknown_ones(tmp_path: Path) -> None:
     grid = ul.Grid((10.0, 20.0, 1.5), 0.5, (2, 5))
     percent = np.array([[0, 0, -1, 0, 90], [-1, AMBIGUOUS, AMBIGUOUS, -1, -1]], np.int8)
     with ul.sink(tmp_path / "map.mcap") as sink:
         sink.write(some_frames(2))
         sink.write(ul.OccupancyMap(grid, percent))
-    with AnyReader([tmp_path / "map.mcap"], default_typestore=ros.typestore()) as reader:
-        drawn = [
-            reader.deserialize(data, one.msgtype) for one, _, data in reader.messages() if one.topic == "/map/plane"
-        ]
+    drawn = recorded(tmp_path / "map.mcap", "/map/plane")
     free, ambiguous, occupied = drawn[-1].markers
     assert [one.ns for one in drawn[-1].markers] == ["free", "ambiguous", "occupied"]
     corners = np.array([(p.x, p.y, p.z) for p in free.points]).reshape(-1, 6, 3)
@@ -517,10 +521,7 @@ def test_viewers_get_the_surfaces_of_a_plane_map_as_lines_along_them(tmp_path: P
     with ul.sink(tmp_path / "map.mcap") as sink:
         sink.write(some_frames(2))
         sink.write(ul.OccupancyMap(grid, np.zeros(grid.shape, np.int8), surfaces=surfaces))
-    with AnyReader([tmp_path / "map.mcap"], default_typestore=ros.typestore()) as reader:
-        drawn = [
-            reader.deserialize(data, one.msgtype) for one, _, data in reader.messages() if one.topic == "/map/surfaces"
-        ]
+    drawn = recorded(tmp_path / "map.mcap", "/map/surfaces")
     before, *shown = drawn[-1].markers
     assert before.action == 3  # deletes the surfaces of the last message
     assert [(one.ns, one.id) for one in shown] == [("plane", 0), ("slope", 2)]  # the edge is not on the map
@@ -539,10 +540,7 @@ def test_surfaces_of_a_volume_are_two_lines_at_each_point(tmp_path: Path) -> Non
     with ul.sink(tmp_path / "map.mcap") as sink:
         sink.write(some_frames(2))
         sink.write(ul.OccupancyMap(grid, np.zeros(grid.shape, np.int8), surfaces=(ceiling,)))
-    with AnyReader([tmp_path / "map.mcap"], default_typestore=ros.typestore()) as reader:
-        (drawn, *_) = [
-            reader.deserialize(data, one.msgtype) for one, _, data in reader.messages() if one.topic == "/map/surfaces"
-        ]
+    drawn, *_ = recorded(tmp_path / "map.mcap", "/map/surfaces")
     _, shown = drawn.markers
     ends = np.array([(p.x, p.y, p.z) for p in shown.points]).reshape(4, 2, 3)
     np.testing.assert_allclose(ends[..., 2], 2.0)

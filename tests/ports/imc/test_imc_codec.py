@@ -282,13 +282,3 @@ def test_an_announce_in_big_endian_is_read() -> None:
     got = decode(announce(1.0, services=b"imc+udp://127.0.0.1:6002/", order=">"))
     assert got["sys_name"] == "test-copter"
     assert math.isclose(math.degrees(got["lat"]), 63.4185)
-
-
-@settings(max_examples=100, deadline=None)
-@given(packet=PACKETS.filter(lambda packet: not any(named(packet.message, name) for name in NEWER)))
-def test_imcpy_understands_every_message_and_writes_the_same_bytes(packet: Packet) -> None:
-    imcpy = pytest.importorskip("imcpy", reason="imcpy, which holds DUNE's own codec, is not installed")
-    data = encode(packet)
-    there = imcpy.Packet.deserialize(data)
-    assert type(there).__name__ == packet.name
-    assert bytes(there.serialize()) == data
