@@ -402,24 +402,6 @@ def test_cells_off_octomaps_lattice_are_said(tmp_path: Path) -> None:
         write_map(far, tmp_path / "a.bt")
 
 
-@settings(deadline=None, max_examples=80)
-@given(data=st.data(), suffix=st.sampled_from([".bt", ".ot"]))
-def test_trees_cut_or_damaged_anywhere(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, suffix: str
-) -> None:
-    path = tmp_path_factory.mktemp("oct") / f"a{suffix}"
-    write_map(volume(shape=(3, 9, 9)), path)
-    content = bytearray(path.read_bytes())
-    at, junk = data.draw(st.integers(0, len(content) - 1)), data.draw(st.binary(max_size=9))
-    content[at : at + len(junk) if junk else None] = junk
-    path.write_bytes(content)
-    try:
-        read_map(path)
-    except ul.InputError as error:
-        said = str(error)
-        assert "\n" not in said
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [

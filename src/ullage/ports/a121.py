@@ -8,7 +8,6 @@ takes rising phase for rising distance; here it falls (-4 pi range / wavelength)
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,9 +17,10 @@ from numpy.typing import NDArray
 
 from ullage.arrays import Longs
 from ullage.data import Frames
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.ports.containers import array_in, open_hdf5
+from ullage.ports.intake import warn
 from ullage.ports.protocol import mend_clock
 from ullage.specs import MountSpec, RadarSpec
 from ullage.untrusted import reading
@@ -81,7 +81,7 @@ class _Entry:
         saturated = int(array_in(file, f"{place}/result/data_saturated", most_bytes=MOST_BYTES).sum())
         if saturated:
             text = f"{path}: {saturated} of {len(frame)} frames are saturated; their strongest echoes are cut off"
-            warnings.warn(text, UllageWarning, stacklevel=6)
+            warn(text)
 
     def _times(self, tick: NDArray[Any], sweeps: int, ticks_hz: float) -> Longs:
         start_s = (tick - tick[0]) / ticks_hz
@@ -101,7 +101,7 @@ class _Entry:
             out[one] = Frames(samples, spec.range_m, self._t_ns, spec, sensor=one, unit="normalised")
         if short and out:
             text = f"{self._path}: {short} subsweeps of {name} have fewer than {LEAST_BINS} points; left out"
-            warnings.warn(text, UllageWarning, stacklevel=6)
+            warn(text)
         return out
 
     def _subsweeps(self, mount: MountSpec | None) -> Iterator[tuple[slice, RadarSpec | None]]:

@@ -13,7 +13,6 @@ Positions are z up. Without quaternions the attitude is that of the world. Baseb
 
 from __future__ import annotations
 
-import warnings
 import zipfile
 import zlib
 from collections.abc import Iterable
@@ -27,8 +26,9 @@ from numpy.typing import NDArray
 from ullage.arrays import Floats, Longs
 from ullage.checks import is_in_nanoseconds
 from ullage.data import UNEVEN, Trajectory
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.ports import containers
+from ullage.ports.intake import warn
 from ullage.ports.protocol import mend_clock, warn_of_saturation
 from ullage.ports.tracks import good_poses
 from ullage.specs import RadarSpec
@@ -187,7 +187,7 @@ def _band(entries: dict[str, NDArray[Any]], preset: str | None, path: Path) -> t
     base = RadarSpec.preset(LIKE, range_zero_m=None)
     rest = " and ".join(f"{name} {getattr(base, name):g}" for name in BAND if name not in stated)
     what = f"{path}: {rest} of the preset {base.name} assumed; the file does not say (give preset=)"
-    warnings.warn(what, UllageWarning, stacklevel=5)
+    warn(what)
     return base, stated
 
 

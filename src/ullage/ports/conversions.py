@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,10 +13,11 @@ from numpy.typing import NDArray
 
 from ullage.arrays import Floats, Longs
 from ullage.data import Calibration, Detections, Frames, Trajectory
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.geometry import quat_matrix, quat_rpy
 from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
 from ullage.ports import schema as ros
+from ullage.ports.intake import warn
 from ullage.ports.turned import along_axes
 from ullage.specs import RadarSpec
 
@@ -111,7 +111,7 @@ def frames_of(messages: Sequence[bytes], sensor: str, fields: dict[str, Any], t_
 def assumed_settings(record: Any, sensor: str, samples: Any) -> dict[str, Any]:
     """Return fields of Frames for messages that came without settings."""
     bins = samples.shape[1]
-    warnings.warn(f"{sensor}: no settings were recorded; an X4M05's are assumed", UllageWarning, stacklevel=3)
+    warn(f"{sensor}: no settings were recorded; an X4M05's are assumed")
     output = "baseband" if np.iscomplexobj(samples) else "rf"
     spec = RadarSpec.preset("x4m05", output=output, bins=max(bins, 8), range_start_m=float(record["range_start"]))
     range_m = record["range_start"] + record["range_step"] * np.arange(bins)
@@ -160,7 +160,7 @@ def spec_of(values: dict[str, Any], where: str) -> RadarSpec:
     unknown = sorted(values.keys() - RadarSpec.model_fields.keys())
     if unknown:
         what = f"{where}: settings this version does not know are left out: {', '.join(unknown)}"
-        warnings.warn(what, UllageWarning, stacklevel=3)
+        warn(what)
     return RadarSpec(**{key: value for key, value in values.items() if key not in unknown})
 
 

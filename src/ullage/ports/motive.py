@@ -6,7 +6,6 @@ along Motive's axes looks along +X.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,7 +13,8 @@ import numpy as np
 
 from ullage.arrays import Floats
 from ullage.data import Trajectory
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
+from ullage.ports.intake import warn
 from ullage.ports.protocol import mend_clock
 from ullage.untrusted import reading
 
@@ -105,7 +105,7 @@ def _numbers(lines: list[str], start: int, width: int, path: Path) -> Floats:
     table = np.array(list(rows()), float).reshape(-1, width)
     if bad:
         what = f"{len(bad)} lines cannot be read, first line {bad[0]}; left out"
-        warnings.warn(f"{path}: {what}", UllageWarning, stacklevel=3)
+        warn(f"{path}: {what}")
     return table
 
 
@@ -116,7 +116,7 @@ def _track(rows: Floats, scale: float, where: str) -> Trajectory:
     t_ns = mend_clock(np.rint(seconds * 1e9).astype(np.int64), where=where)
     gap = float(np.diff(t_ns).max(initial=0)) * 1e-9
     if gap > GAP_S:
-        warnings.warn(f"{where}: not seen for up to {gap:.2f} s; drawn through", UllageWarning, stacklevel=3)
+        warn(f"{where}: not seen for up to {gap:.2f} s; drawn through")
     unit = quat / np.linalg.norm(quat, axis=1, keepdims=True)
     turned = unit * [1, 1, -1, 1]
     return Trajectory(t_ns, (position * [1, 1, -1])[:, [0, 2, 1]], turned[:, [0, 2, 1, 3]])

@@ -7,16 +7,16 @@ code, stand in that order, so each level is one array, and a node's place follow
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ullage.arrays import Bools, Floats, Longs
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.files import write_whole
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
+from ullage.ports.intake import warn
 from ullage.untrusted import MOST_CELLS, reading
 
 DEPTH = 16
@@ -69,11 +69,7 @@ def _codes(grid: Grid, known: Bools, path: Path) -> Longs:
     first = np.rint(origin).astype(np.int64)
     if np.any(abs(origin - first) > 1e-3):
         off = float(abs(origin - first).max()) * grid.step_m
-        warnings.warn(
-            f"{path}: OctoMap's cells lie on multiples of their edge; shifted by {off:.3g} m",
-            UllageWarning,
-            stacklevel=3,
-        )
+        warn(f"{path}: OctoMap's cells lie on multiples of their edge; shifted by {off:.3g} m")
     cells = np.argwhere(known if grid.dims == 3 else known[None])[:, ::-1] + first + CENTRE
     if len(cells) and (cells.min() < 0 or cells.max() >= 2 * CENTRE):
         raise InputError(

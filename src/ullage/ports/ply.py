@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ullage.arrays import Floats
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.files import write_whole
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
+from ullage.ports.intake import warn
 from ullage.specs import Spec
 from ullage.untrusted import MOST_CELLS, reading, reason
 from ullage.world.meshes import check_ply
@@ -134,9 +134,7 @@ def read_ply(path: str | Path, *, step_m: float | None = None) -> OccupancyMap:
     percent = np.full(grid.shape, UNKNOWN, np.int8)
     cells, inside = grid.index(np.clip(points, -FURTHEST_M, FURTHEST_M))
     if not inside.all():
-        warnings.warn(
-            f"{path}: {int((~inside).sum())} points lie outside its grid; left out", UllageWarning, stacklevel=2
-        )
+        warn(f"{path}: {int((~inside).sum())} points lie outside its grid; left out")
     percent[tuple(cells[inside].T)] = 100
     return OccupancyMap(grid, percent, about.method if about else "ply")
 

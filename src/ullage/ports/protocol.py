@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -14,8 +13,9 @@ from numpy.typing import NDArray
 
 from ullage import checks
 from ullage.data import Detections, Frames, Trajectory, gathered
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.grids import Image, OccupancyMap
+from ullage.ports.intake import warn
 from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
 
@@ -208,11 +208,9 @@ def mend_clock(t_ns: NDArray[np.int64], *, where: str | Path) -> NDArray[np.int6
                          allowed="rows in order of time")  # fmt: skip
     usual = max(int(np.median(step[step > 0])), 1) if np.any(step > 0) else 1_000_000
     jumps = [float(step[i]) * 1e-9 for i in bad[:3]]
-    warnings.warn(
+    warn(
         f"{where}: the clock jumps back or stands still {bad.size} times, first after frame {int(bad[0])} "
-        f"({jumps[0]:+.3f} s); the usual step of {usual * 1e-6:.3g} ms was taken there",
-        UllageWarning,
-        stacklevel=3,
+        f"({jumps[0]:+.3f} s); the usual step of {usual * 1e-6:.3g} ms was taken there"
     )
     step = step.copy()
     step[bad] = usual
@@ -238,4 +236,4 @@ def warn_of_saturation(samples: NDArray[Any], path: Path) -> None:
     if rows.any():
         what = f"{int(rows.sum())} of {len(rows)} scans are saturated, first scan {int(np.argmax(rows))}"
         share = f"{100 * full.mean():.2g} % of all samples lie at the limit"
-        warnings.warn(f"{path}: {what}; {share}, and the strongest echoes are cut off", UllageWarning, stacklevel=4)
+        warn(f"{path}: {what}; {share}, and the strongest echoes are cut off")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import struct
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.arrays import Floats, Longs
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.ports.arrays import load
+from ullage.ports.intake import warn
 from ullage.ports.protocol import mend_clock, warn_of_saturation
 from ullage.specs import RadarSpec
 from ullage.untrusted import reading, regular_size
@@ -70,7 +70,7 @@ def read_log(path: str | Path) -> Log:
     whole, rest = divmod(len(raw) - front, PACKET.itemsize)
     packets = np.frombuffer(raw, PACKET, whole, front)
     if rest:
-        _warn(path, f"cut within packet {whole}; the {whole} before are used")
+        warn(f"{path}: cut within packet {whole}; the {whole} before are used")
     scans, t_ms = _assemble(packets, path)
     t_ns = mend_clock((t_ms - t_ms[0]) * 1_000_000, where=path)
     warn_of_saturation(scans, path)
@@ -160,7 +160,7 @@ def _assemble(packets: NDArray[np.void], path: Path) -> tuple[NDArray[np.int32],
     if not good.any():
         raise InputError("no range scans in it", where=path, allowed="a PulsON 440 MRM log")
     if not good.all():
-        _warn(path, f"{int((~good).sum())} packets make no sense, first packet {int(np.argmin(good))}; left out")
+        warn(f"{path}: {int((~good).sum())} packets make no sense, first packet {int(np.argmin(good))}; left out")
     kept = packets[good]
     new = np.concatenate(
         [[True], (np.diff(kept["message"].astype(np.int64)) != 0) | (np.diff(kept["t_ms"].astype(np.int64)) != 0)]
@@ -170,9 +170,5 @@ def _assemble(packets: NDArray[np.void], path: Path) -> tuple[NDArray[np.int32],
     scans[scan, kept["index"]] = kept["samples"]
     dropped = scans.shape[0] * per_scan - len(kept)
     if dropped > 0:
-        _warn(path, f"{dropped} packets are missing; their samples are zero")
+        warn(f"{path}: {dropped} packets are missing; their samples are zero")
     return scans.reshape(len(scans), -1)[:, :bins], kept["t_ms"][new].astype(np.int64)
-
-
-def _warn(path: Path, what: str) -> None:
-    warnings.warn(f"{path}: {what}", UllageWarning, stacklevel=4)

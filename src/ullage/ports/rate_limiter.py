@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from typing import Any, Generic, Protocol, TypeVar
 
-from ullage.errors import UllageWarning
+from ullage.ports.intake import warn
 
 LATE_S = 1.0
 """Beyond this delay [s] the limiter starts anew and does not catch up."""
@@ -46,9 +45,7 @@ class RateLimiter:
             if -STEP_BACK_S <= ahead_s < 0:
                 return min(due, now_s)
             if ahead_s > LEAP_S:
-                warnings.warn(
-                    f"the stamps leap {ahead_s:.3g} s ahead, which is not waited for", UllageWarning, stacklevel=2
-                )
+                warn(f"the stamps leap {ahead_s:.3g} s ahead, which is not waited for")
             elif ahead_s >= 0:
                 self.late_s = max(0.0, now_s - due)
                 if self.late_s <= LATE_S:

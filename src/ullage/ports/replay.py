@@ -22,7 +22,7 @@ from ullage.errors import DamageWarning, InputError, UllageWarning
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions
 from ullage.ports import schema as ros
-from ullage.ports.intake import Clock, Counters, Stamped, Stream
+from ullage.ports.intake import Clock, Counters, Stamped, Stream, warn
 from ullage.ports.protocol import Recording
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class McapSource(Recording):
         Raises:
             InputError: what was recorded makes no frames.
         """
-        counters = Counters(self._warn)
+        counters = Counters(lambda text: warn(f"{self.path}: {text}"))
         waiting: dict[str, Waiting] = {}
         for _, kind, data in self.messages(ros.FRAME, ros.SETTINGS, ros.TRACK):
             mine = self._sensor(data, waiting, counters) if len(data) > SHORTEST else None
@@ -99,9 +99,6 @@ class McapSource(Recording):
         damaged = counters.dropped("bad") > 0
         for line in counters.lines():
             warnings.warn(f"{self.path}: {line}", DamageWarning if damaged else UllageWarning, stacklevel=2)
-
-    def _warn(self, text: str) -> None:
-        warnings.warn(f"{self.path}: {text}", UllageWarning, stacklevel=3)
 
     def _sensor(self, data: bytes, waiting: dict[str, Waiting], counters: Counters) -> Waiting | None:
         """What waits of the sensor that a message names; None where it cannot be read."""
@@ -217,7 +214,7 @@ class McapSource(Recording):
                 yield from inner
         if broken:
             what = "; ".join(f"{count} {why}" if count > 1 else why for why, count in broken.items())
-            warnings.warn(f"{self.path}: {what}; all that can be read is used", UllageWarning, stacklevel=2)
+            warn(f"{self.path}: {what}; all that can be read is used")
 
 
 def sound_frames(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +9,10 @@ import numpy as np
 
 from ullage.arrays import Floats, Longs
 from ullage.data import Frames, Trajectory, sensors_of
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.ports.a121 import holds_sessions, read_sessions
 from ullage.ports.arrays import Arrays, names_in, read_npz, refuse_pickle
+from ullage.ports.intake import warn
 from ullage.ports.motive import read_tracks
 from ullage.ports.protocol import Source, WholeSource
 from ullage.ports.pulson import Log, read_arrays, read_log, read_scans
@@ -106,7 +106,7 @@ def open_tracked(
         names = [one.name for one in there] + [path.name] * (inside is not None)
         raise InputError(f"two tracks, {' and '.join(names)}", where=folder, allowed="one of " + ", ".join(TRACKS))
     if not there and inside is None:
-        warnings.warn(f"{folder}: no track ({', '.join(TRACKS)}), so frames have no poses", UllageWarning, stacklevel=5)
+        warn(f"{folder}: no track ({', '.join(TRACKS)}), so frames have no poses")
         return WholeSource({one.sensor: one for one in found})
     tracks = {"radar": inside} if inside is not None else _read(there[0], topic=topic, datum=datum)
     name = _radar_body(tracks)
@@ -164,11 +164,7 @@ def _held(track: Trajectory, t_ns: Longs, where: Path) -> Trajectory:
     """The track at these times, standing still before its start and after its end."""
     inside, row = np.unique(np.clip(t_ns, track.t_ns[0], track.t_ns[-1]), return_inverse=True)
     if outside := int(((t_ns < track.t_ns[0]) | (t_ns > track.t_ns[-1])).sum()):
-        warnings.warn(
-            f"{where}: {outside} of {len(t_ns)} scans lie outside the motion capture; its ends were held",
-            UllageWarning,
-            stacklevel=5,
-        )
+        warn(f"{where}: {outside} of {len(t_ns)} scans lie outside the motion capture; its ends were held")
     known = track.at(inside)
     velocity, spin = known.rates
     return Trajectory(t_ns, known.position[row], known.quat_xyzw[row], velocity[row], spin[row])

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import operator
 import re
-import warnings
 from collections.abc import Iterable
 from functools import reduce
 from pathlib import Path
@@ -19,9 +18,10 @@ from numpy.typing import ArrayLike
 
 from ullage.arrays import Floats
 from ullage.data import Trajectory
-from ullage.errors import InputError, UllageWarning, need
+from ullage.errors import InputError, need
 from ullage.geometry import matrix_quat, quat_matrix, rpy_quat
 from ullage.ports.geodetic import Geodetic, datum_of
+from ullage.ports.intake import warn
 from ullage.ports.ned import FLIP, SWAP
 from ullage.untrusted import reading
 
@@ -55,7 +55,7 @@ def track_of_poses(rows: Iterable[Pose], path: Path) -> Trajectory:
         raise InputError(f"none of {len(listed)} poses can be used", where=path, allowed=allowed)
     if not good.all():
         text = f"{path}: {int((~good).sum())} of {len(listed)} poses are no poses, first pose {int(np.argmin(good))}"
-        warnings.warn(f"{text}; left out", UllageWarning, stacklevel=3)
+        warn(f"{text}; left out")
     t_ns, first = np.unique(times[good], return_index=True)
     kept = table[good][first]
     return Trajectory(t_ns, kept[:, :3], kept[:, 3:] / norm[good][first][:, None])
@@ -79,7 +79,7 @@ def track_of_fixes(rows: Iterable[Fix], datum: str, path: Path) -> Trajectory:
     origin = datum_of(datum) if datum else Geodetic.degrees(*(float(column[0]) for column in place))
     if not datum:
         text = f"{path}: east, north and up of its first fix, {place[0][0]:.7f},{place[1][0]:.7f},{place[2][0]:.2f}"
-        warnings.warn(f"{text} (say datum=)", UllageWarning, stacklevel=3)
+        warn(f"{text} (say datum=)")
     level = np.array([0.0, 0.0, 0.0, 1.0])
     return track_of_poses([(int(t), at, level) for t, at in zip(times, origin.local(*place), strict=True)], path)
 
@@ -165,7 +165,7 @@ def read_nmea(path: Path, *, datum: str = "") -> Trajectory:
             day += DAY_NS
         rows.append((fix[0] + day, *fix[1:]))
     if bad:
-        warnings.warn(f"{path}: {bad} GGA sentences cannot be read; left out", UllageWarning, stacklevel=3)
+        warn(f"{path}: {bad} GGA sentences cannot be read; left out")
     return track_of_fixes(rows, datum, path)
 
 

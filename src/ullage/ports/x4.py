@@ -7,7 +7,6 @@ The X4 driver labels its bins with 3e8 m/s [NoveldaX4Driver]; here they are at t
 from __future__ import annotations
 
 import struct
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.data import Frames
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.geometry import C0
+from ullage.ports.intake import warn
 from ullage.ports.protocol import Source, mend_clock, one_or_all
 from ullage.specs import RadarSpec
 
@@ -53,14 +53,11 @@ class X4Source(Source):
     def __init__(self, path: str | Path, *, fps: float | None = None, range_start_m: float | None = None) -> None:
         self.path = Path(path)
         if fps is None:
-            self._assume("times are not recorded; 17 frames a second are assumed (say fps=)")
+            warn(f"{self.path}: times are not recorded; 17 frames a second are assumed (say fps=)")
         self._rows = open_rows(self.path, 17.0 if fps is None else fps, range_start_m)
         counter = self._rows.table["counter"].astype(np.int64)
         t_ns = np.rint((counter - counter[0]) * (1e9 / self._rows.spec.fps)).astype(np.int64)
         self._t_ns = mend_clock(t_ns, where=self.path)
-
-    def _assume(self, what: str) -> None:
-        warnings.warn(f"{self.path}: {what}", UllageWarning, stacklevel=4)
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -106,11 +103,7 @@ def open_rows(path: Path, fps: float, range_start_m: float | None) -> Rows:
         return Rows(_map(path, size, BASEBAND, bins), spec)
     if kind == 0 and 2 <= count <= 131072 and count % 2 == 0:
         if range_start_m is None:
-            warnings.warn(
-                f"{path}: the range of bin 0 is not recorded; 0 m is assumed (say range_start_m=)",
-                UllageWarning,
-                stacklevel=4,
-            )
+            warn(f"{path}: the range of bin 0 is not recorded; 0 m is assumed (say range_start_m=)")
         return Rows(
             _map(path, size, DATAFLOAT, count // 2), _x4m05(path, count // 2, fps, range_start_m=range_start_m or 0.0)
         )
@@ -135,9 +128,7 @@ def _map(path: Path, size: int, header: tuple[tuple[str, str], ...], bins: int) 
     same = np.all([table[name] == table[name][0] for name in constant], axis=0)
     good = whole if same.all() else int(np.argmin(same))
     if good < whole:
-        warnings.warn(
-            f"{path}: the header of frame {good} does not fit; the {good} before are used", UllageWarning, stacklevel=5
-        )
+        warn(f"{path}: the header of frame {good} does not fit; the {good} before are used")
     elif rest:
-        warnings.warn(f"{path}: cut within frame {whole}; the {whole} before are used", UllageWarning, stacklevel=5)
+        warn(f"{path}: cut within frame {whole}; the {whole} before are used")
     return table[:good]

@@ -7,19 +7,17 @@ import sys
 
 import rclpy
 from rcl_interfaces.srv import ListParameters
+from stranger import node_of
 
 
 def main() -> None:
-    rclpy.init()
-    node = rclpy.create_node("ask")
+    node = node_of("ask")
     client = node.create_client(ListParameters, f"{sys.argv[1]}/list_parameters")
     assert client.wait_for_service(timeout_sec=60.0)
     future = client.call_async(ListParameters.Request())
     rclpy.spin_until_future_complete(node, future, timeout_sec=10.0)
     answer = future.result()
     print(json.dumps(None if answer is None else list(answer.result.names)))
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 main()

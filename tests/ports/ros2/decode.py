@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import sys
 from collections import Counter
 from typing import Any
 
-import rclpy
 from mcap.reader import make_reader
 from rclpy.serialization import deserialize_message, serialize_message
+from stranger import node_of, type_of
 
 
 def hash_of(node: Any, kind: Any, number: int) -> str:
@@ -29,18 +28,14 @@ def main() -> None:
     kinds: dict[str, Any] = {}
     with open(sys.argv[1], "rb") as file:
         for schema, _, message in make_reader(file).iter_messages():
-            package, _, name = schema.name.split("/")
-            kinds[schema.name] = kind = getattr(importlib.import_module(f"{package}.msg"), name)
+            kinds[schema.name] = kind = type_of(schema.name)
             made = deserialize_message(message.data, kind)
             count[schema.name] += 1
             if deserialize_message(serialize_message(made), kind) != made:
                 differ.add(schema.name)
-    rclpy.init()
-    node = rclpy.create_node("decode")
+    node = node_of("decode")
     hashes = {name: hash_of(node, kind, number) for number, (name, kind) in enumerate(kinds.items())}
     print(json.dumps({"count": count, "same": not differ, "differ": sorted(differ), "hashes": hashes}))
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 main()

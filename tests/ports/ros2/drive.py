@@ -13,14 +13,14 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Range
+from stranger import node_of
 
 CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = 1, 2, 3, 4
 
 
 def main() -> None:
     name, topic = sys.argv[1:3]
-    rclpy.init()
-    node = rclpy.create_node("drive")
+    node = node_of("drive")
     heard: list[float] = []
     node.create_subscription(Range, topic, lambda message: heard.append(time.monotonic()), qos_profile_sensor_data)
 
@@ -62,8 +62,6 @@ def main() -> None:
             listen(1, 1.0)
             count["inactive"] = listen(100, 2.0)
     print(json.dumps({"first": first, "parameter": parameter, "states": states, "heard": count}))
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 main()

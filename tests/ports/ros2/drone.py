@@ -9,19 +9,18 @@ from __future__ import annotations
 import json
 import math
 import sys
-import threading
 import time
 
 import rclpy
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry
+from stranger import input_ended, node_of
 
 STEP_S, LAG_S = 0.02, 0.2
 
 
 def main() -> None:
-    rclpy.init()
-    node = rclpy.create_node("foreign_drone", namespace=sys.argv[1])
+    node = node_of("foreign_drone", namespace=sys.argv[1])
     at, v, yaw, turn = [0.0, 0.0, 0.5], [0.0, 0.0, 0.0], 0.3, 0.0
     twist, goal, counts = Twist(), None, {"twist": 0, "pose": 0}
 
@@ -39,8 +38,7 @@ def main() -> None:
     node.create_subscription(Twist, "cmd_vel", take_twist, 10)
     node.create_subscription(PoseStamped, "command/pose", take_pose, 10)
     odom = node.create_publisher(Odometry, "odom", 10)
-    over = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
+    over = input_ended()
     print("ready", flush=True)
     due = time.monotonic()
     while not over.is_set():
@@ -71,8 +69,6 @@ def main() -> None:
         odom.publish(out)
     last = [twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.z]
     print(json.dumps({"counts": counts, "last": last, "place": at}), flush=True)
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 main()

@@ -6,15 +6,13 @@ Its transforms are no numbers at first. Ends when its input does, and prints how
 from __future__ import annotations
 
 import json
-import sys
-import threading
 import time
 from array import array
 from itertools import count
 
-import rclpy
 from geometry_msgs.msg import TransformStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from stranger import input_ended, node_of
 from tf2_msgs.msg import TFMessage
 from ullage_msgs.msg import RadarFrame
 
@@ -38,8 +36,7 @@ def frame(index: int, now: float) -> RadarFrame:
 
 
 def main() -> None:
-    rclpy.init()
-    node = rclpy.create_node("harm")
+    node = node_of("harm")
     frames = node.create_publisher(
         RadarFrame, "/radar/front/frame", QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
     )
@@ -47,8 +44,7 @@ def main() -> None:
     while not frames.get_subscription_count():
         time.sleep(0.1)
     time.sleep(1.0)
-    over = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
+    over = input_ended()
     now = time.time()
     for index in count():
         if index >= STEADY + BURST and over.is_set():
@@ -66,8 +62,6 @@ def main() -> None:
             time.sleep(0.02)
     print(json.dumps(index))
     time.sleep(1.0)
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 main()

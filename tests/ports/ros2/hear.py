@@ -6,15 +6,14 @@ Arguments: topic=package/msg/Name:quality ...
 
 from __future__ import annotations
 
-import importlib
 import json
 import sys
-import threading
 from collections import Counter
 from typing import Any
 
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from stranger import input_ended, node_of, type_of
 
 HOW = {
     "sensor": qos_profile_sensor_data,
@@ -38,8 +37,7 @@ def plain(value: Any) -> Any:
 
 
 def main() -> None:
-    rclpy.init()
-    node = rclpy.create_node("hear")
+    node = node_of("hear")
     count: Counter[str] = Counter()
     last: dict[str, Any] = {}
     stamps: dict[str, list[int]] = {}
@@ -56,18 +54,14 @@ def main() -> None:
     for word in words:
         topic, _, rest = word.partition("=")
         kind, _, quality = rest.partition(":")
-        package, _, name = kind.split("/")
-        found = getattr(importlib.import_module(f"{package}.msg"), name)
+        found = type_of(kind)
         node.create_subscription(found, topic, lambda m, t=topic: take(t, m), HOW[quality])
-    over = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
+    over = input_ended()
     print("ready", flush=True)
     while not (over.is_set() or (until_all and len(count) == len(words))):
         rclpy.spin_once(node, timeout_sec=0.1)
     shown = {topic: plain(message) for topic, message in last.items()}
     print(json.dumps({"count": count, "stamps": stamps, "last": shown}))
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 main()

@@ -8,18 +8,16 @@ Ends when its input does. Prints one JSON object. Arguments: topic=package/msg/N
 from __future__ import annotations
 
 import hashlib
-import importlib
 import json
 import sys
-import threading
 
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from stranger import input_ended, node_of, type_of
 
 
 def main() -> None:
-    rclpy.init()
-    node = rclpy.create_node("keep")
+    node = node_of("keep")
     kept: dict[str, list[str]] = {}
 
     def take(topic: str, data: bytes) -> None:
@@ -28,19 +26,15 @@ def main() -> None:
     for word in sys.argv[1:]:
         topic, _, kind = word.partition("=")
         latched = kind.endswith(":latched")
-        package, _, name = kind.removesuffix(":latched").split("/")
         durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-        found = getattr(importlib.import_module(f"{package}.msg"), name)
+        found = type_of(kind.removesuffix(":latched"))
         how = QoSProfile(depth=1000, durability=durability)
         node.create_subscription(found, topic, lambda data, t=topic: take(t, data), how, raw=True)
-    over = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
+    over = input_ended()
     print("ready", flush=True)
     while not over.is_set():
         rclpy.spin_once(node, timeout_sec=0.1)
     print(json.dumps(kept))
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 main()

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import sys
-import threading
 import time
 
-import rclpy
 from nav_msgs.msg import Odometry
+from stranger import input_ended, node_of
 
 
 def main() -> None:
-    rclpy.init()
-    node = rclpy.create_node("robot")
+    node = node_of("robot")
     out = node.create_publisher(Odometry, "/robot/odom", 10)
-    over = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
+    over = input_ended()
     print("ready", flush=True)
     start = time.time()
     while not over.is_set():
@@ -28,8 +24,6 @@ def main() -> None:
         message.pose.pose.orientation.w = 1.0
         out.publish(message)
         time.sleep(0.02)
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 main()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -13,11 +12,11 @@ from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, Range
+from stranger import node_of, spin
 
 
 def main() -> None:
-    rclpy.init()
-    node = rclpy.create_node("pilot")
+    node = node_of("pilot")
     last: dict[str, Any] = {}
     counts = dict.fromkeys(("odom", "raw_imu", "sonar_height"), 0)
 
@@ -28,14 +27,6 @@ def main() -> None:
     for topic, kind in (("odom", Odometry), ("raw_imu", Imu), ("sonar_height", Range)):
         node.create_subscription(kind, topic, lambda m, t=topic: take(t, m), qos_profile_sensor_data)
     speeds, goals = node.create_publisher(Twist, "cmd_vel", 10), node.create_publisher(PoseStamped, "command/pose", 10)
-
-    def spin(over: Callable[[], bool], each: Callable[[], None] = lambda: None) -> None:
-        end, due = time.monotonic() + 40, 0.0
-        while not over() and time.monotonic() < end:
-            if time.monotonic() >= due:
-                due = time.monotonic() + 0.05
-                each()
-            rclpy.spin_once(node, timeout_sec=0.01)
 
     def place() -> list[float]:
         at = last["odom"].pose.pose.position
@@ -48,26 +39,24 @@ def main() -> None:
     seen = {"start": place()}
     twist = Twist()
     twist.linear.x = 0.4
-    spin(lambda: place()[0] > seen["start"][0] + 0.8, lambda: speeds.publish(twist))
+    spin(node, lambda: place()[0] > seen["start"][0] + 0.8, lambda: speeds.publish(twist))
     seen["moved"] = place()
-    spin(lambda: abs(last["odom"].twist.twist.linear.x) < 0.002)
+    spin(node, lambda: abs(last["odom"].twist.twist.linear.x) < 0.002)
     seen["stopped"] = place()
     counts["odom"] = 0
-    spin(lambda: counts["odom"] > 20)
+    spin(node, lambda: counts["odom"] > 20)
     seen["still"] = place()
     goal = PoseStamped()
     goal.header.frame_id = "map"
     goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = -2.0, -1.2, 1.5
     goal.pose.orientation.w = 1.0
-    spin(lambda: math.dist(place(), (-2.0, -1.2, 1.5)) < 0.02, lambda: goals.publish(goal))
+    spin(node, lambda: math.dist(place(), (-2.0, -1.2, 1.5)) < 0.02, lambda: goals.publish(goal))
     seen["arrived"] = place()
     counts["sonar_height"] = 0
-    spin(lambda: counts["sonar_height"] > 10)
+    spin(node, lambda: counts["sonar_height"] > 10)
     seen["imu"] = [last["raw_imu"].linear_acceleration.z]
     seen["sonar"] = [last["sonar_height"].range]
     print(json.dumps({"seen": seen, "counts": counts}))
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 main()

@@ -6,14 +6,13 @@ Arguments: the transforms as parent>child, joined to odom by /tf_static; odom an
 from __future__ import annotations
 
 import sys
-import threading
 import time
 
-import rclpy
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
+from stranger import input_ended, node_of
 from tf2_msgs.msg import TFMessage
 
 
@@ -26,13 +25,11 @@ def placed(pair: str) -> TransformStamped:
 
 
 def main() -> None:
-    rclpy.init()
-    node = rclpy.create_node("robot_state_publisher")
+    node = node_of("robot_state_publisher")
     pairs = [placed(word) for word in sys.argv[1:] if ">" in word]
     moving = [pair for pair in pairs if pair.child_frame_id.endswith("base_link")]
     fixed = [pair for pair in pairs if pair not in moving]
-    over = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
+    over = input_ended()
     publish = []
     if fixed:
         kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -51,8 +48,6 @@ def main() -> None:
         for each in publish:
             each()
         time.sleep(0.05)
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 main()

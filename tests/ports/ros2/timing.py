@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import sys
-import threading
 import time
 from typing import Any
 
@@ -16,6 +15,7 @@ import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Range
+from stranger import input_ended, node_of
 from tf2_msgs.msg import TFMessage
 from ullage_msgs.msg import RadarFrame
 
@@ -25,8 +25,7 @@ def seconds(stamp: Any) -> float:
 
 
 def main() -> None:
-    rclpy.init()
-    node = rclpy.create_node("timing")
+    node = node_of("timing")
     deep = QoSProfile(depth=1000)
     loose = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
     kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -43,8 +42,7 @@ def main() -> None:
         node.create_subscription(
             Range, f"/radar/{name}/range", lambda m, n=name: take(f"{n} range", m.header.stamp), loose
         )
-    over = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
+    over = input_ended()
     print("ready", flush=True)
     while not over.is_set():
         rclpy.spin_once(node, timeout_sec=0.1)
@@ -62,8 +60,6 @@ def main() -> None:
             "hz": float((len(stamp) - 1) / np.ptp(stamp)) if len(wall) > 2 else None,
         }
     print(json.dumps(out))
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 main()

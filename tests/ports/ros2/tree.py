@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
-import threading
 import time
 from collections import Counter
 
@@ -12,12 +10,12 @@ import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
+from stranger import input_ended, node_of
 from tf2_msgs.msg import TFMessage
 
 
 def main() -> None:
-    rclpy.init()
-    node = rclpy.create_node("tree")
+    node = node_of("tree")
     seen: Counter[str] = Counter()
     kept = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -35,8 +33,7 @@ def main() -> None:
     node.create_subscription(TFMessage, "/tf_static", take, kept)
     node.create_subscription(Odometry, "/odom", odometry, 100)
     node.create_subscription(Clock, "/clock", clock, 1000)
-    over = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
+    over = input_ended()
     print("ready", flush=True)
     last = time.monotonic()
     while not over.is_set():
@@ -45,8 +42,6 @@ def main() -> None:
             print(json.dumps(seen), flush=True)
             last = time.monotonic()
             seen.clear()
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 main()

@@ -9,13 +9,12 @@ import json
 import sys
 import time
 
-import rclpy
 from imc_msgs.msg import DesiredZ, LogBookControl, LogBookEntry
+from stranger import node_of, repeat
 
 
 def main() -> None:
-    rclpy.init()
-    node = rclpy.create_node("typed")
+    node = node_of("typed")
     height = DesiredZ(value=4.25, z_units=DesiredZ.Z_UNITS_HEIGHT)
     entries = [LogBookEntry(context="dive", text=text, htime=12.5) for text in ("first", "second")]
     book = LogBookControl(command=LogBookControl.COMMAND_REPLY, htime=2.0, msg=entries)
@@ -25,12 +24,7 @@ def main() -> None:
     ]
     while not all(publisher.get_subscription_count() for publisher, _ in wishes):
         time.sleep(0.05)
-    for _ in range(20):
-        for publisher, message in wishes:
-            publisher.publish(message)
-        time.sleep(0.1)
-    node.destroy_node()
-    rclpy.shutdown()
+    repeat(wishes, 20)
     print(json.dumps(len(wishes)))
 
 

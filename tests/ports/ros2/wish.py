@@ -4,26 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 
-import rclpy
 from std_msgs.msg import Float32, Float64
+from stranger import node_of, repeat
 
 
 def main() -> None:
-    rclpy.init()
-    node = rclpy.create_node("wish")
+    node = node_of("wish")
     wishes = []
     for word in sys.argv[1:]:
         topic, _, value = word.partition("=")
         kind = Float32 if topic.endswith(("height", "power")) else Float64
         wishes.append((node.create_publisher(kind, topic, 10), kind(data=float(value))))
-    for _ in range(100):
-        for publisher, message in wishes:
-            publisher.publish(message)
-        time.sleep(0.1)
-    node.destroy_node()
-    rclpy.shutdown()
+    repeat(wishes, 100)
     print(json.dumps(len(wishes)))
 
 

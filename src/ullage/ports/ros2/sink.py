@@ -5,13 +5,13 @@ from __future__ import annotations
 import queue
 import threading
 import time
-import warnings
 from collections.abc import Mapping
 
 from ullage.data import Frames, sensors_of
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.ports import schema as ros
 from ullage.ports.diagnostics import TOPIC, Status
+from ullage.ports.intake import warn
 from ullage.ports.protocol import Item, Sink
 from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_present, on
 from ullage.ports.rate_limiter import LATE_S, RateLimiter, StampOrder
@@ -135,7 +135,7 @@ class Ros2Sink(Sink):
         reported = time.monotonic()
         while (found := self._peer.listeners("/tf")) < wanted and not self._closing.wait(0.05):
             if time.monotonic() - reported > 10.0:
-                warnings.warn(f"waiting for subscribers of /tf: {found} of {wanted}", UllageWarning, stacklevel=2)
+                warn(f"waiting for subscribers of /tf: {found} of {wanted}")
                 reported = time.monotonic()
         self._closing.wait(SETTLE_S)
         self._map_subscribers = self._peer.listeners("map")  # not new: they get the first map in full
