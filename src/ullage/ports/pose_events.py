@@ -71,8 +71,9 @@ class PoseTrack:
         if jumped or self.fixed:
             self._t_ns.clear()
             self._poses.clear()
-        row = bisect_left(self._t_ns, t_ns)
-        if row == len(self._t_ns) or self._t_ns[row] != t_ns:
+        behind = bool(self._t_ns) and t_ns <= self._t_ns[-1]
+        row = bisect_left(self._t_ns, t_ns) if behind else len(self._t_ns)
+        if not behind or self._t_ns[row] != t_ns:
             self._t_ns.insert(row, t_ns)
             self._poses.insert(row, (position, quat_xyzw))
         while self._t_ns[-1] - self._t_ns[0] > KEPT_NS:
