@@ -176,25 +176,15 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return record(tmp_path_factory.mktemp("whole") / "a.mcap", some_frames(60)).read_bytes()
 
 
-@settings(deadline=None, max_examples=60)
-@given(data=st.data())
+@settings(deadline=None, max_examples=120)
+@given(data=st.data(), cut=st.booleans())
 @pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")
-def test_cut_anywhere(whole: bytes, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
-    path = tmp_path_factory.mktemp("cut") / "a.mcap"
-    path.write_bytes(whole[: data.draw(st.integers(0, len(whole)))])
-    assert right_or_refused(path)
-
-
-@settings(deadline=None, max_examples=60)
-@given(data=st.data())
-@pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")
-def test_damaged_anywhere(whole: bytes, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
-    damaged = bytearray(whole)
-    at = data.draw(st.integers(0, len(whole) - 1))
-    junk = data.draw(st.binary(min_size=1, max_size=20))
-    damaged[at : at + len(junk)] = junk
-    path = tmp_path_factory.mktemp("damaged") / "a.mcap"
-    path.write_bytes(damaged)
+def test_cut_or_damaged_anywhere(
+    whole: bytes, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, cut: bool
+) -> None:
+    at, junk = data.draw(st.integers(0, len(whole))), data.draw(st.binary(min_size=1, max_size=20))
+    path = tmp_path_factory.mktemp("harm") / "a.mcap"
+    path.write_bytes(whole[:at] if cut else whole[:at] + junk + whole[at + len(junk) :])
     assert right_or_refused(path)
 
 

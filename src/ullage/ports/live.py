@@ -81,6 +81,7 @@ class LiveSource(Source):
         self.lag_s = lag_s
         self.passing = Passing()
         self._limit_s: float | None = None  # what is later is left out; None: nothing is
+        self._inbox: Inbox[Any] | None = None  # what waits to be used, if it waits here
         self._stopping = self._ended = self._closed = False
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
@@ -132,26 +133,21 @@ class LiveSource(Source):
         """Return the options that would end the stream; empty if it ends."""
         return ""
 
-    def _queue(self) -> Inbox[Any] | None:
-        """Return the queue of what waits to be used, if the source has one."""
-        return None
-
     @property
     def behind_s(self) -> float:
         """How long the oldest message waits already [s]."""
-        queue = self._queue()
-        return queue.behind_s if queue is not None else 0.0
+        return self._inbox.behind_s if self._inbox is not None else 0.0
 
     def keep_up(self, lag_s: float) -> None:
         """From now on leave out what is later than this [s]."""
         self._limit_s = lag_s
-        if (queue := self._queue()) is not None:
-            queue.lag_s = lag_s
+        if self._inbox is not None:
+            self._inbox.lag_s = lag_s
 
     def stop(self) -> None:
         """End the stream after what has come so far; safe to call from another thread."""
-        if (queue := self._queue()) is not None:
-            queue.lag_s = None
+        if self._inbox is not None:
+            self._inbox.lag_s = None
         self._stopping = True
 
     def close(self) -> None:

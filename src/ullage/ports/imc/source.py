@@ -68,6 +68,7 @@ class ImcSource(LiveSource):
         self._track = Track(self.counters, state=options.state, origin=options.place(), vehicle=options.vehicle)
         self._assembler = FrameAssembler(self._track, log)
         self._flight = self._take_off(vehicle) if vehicle is not None else None
+        self._inbox: Inbox[Any] = self._link.events if self._flight is None else self._flight.inbox
         self._backseat = self._lead_vehicle(points) if points else None
 
     def _build(self) -> None:
@@ -209,12 +210,9 @@ class ImcSource(LiveSource):
             at_ns = known[-1].t_ns if known else time.time_ns()
             self.passing.give(partial(passed, packet, at_ns, typed=self._options.typed))
 
-    def _queue(self) -> Inbox[Any]:
-        return self._link.events if self._flight is None else self._flight.inbox
-
     def _skip_lost(self, t_ns: int) -> None:
         """Leave out the frames along poses that were dropped because they waited too long."""
-        if self._radars is not None and (lost := self._queue().lost) > self._lost:
+        if self._radars is not None and (lost := self._inbox.lost) > self._lost:
             self._lost = lost
             count = self._radars.skip(t_ns)
             self.counters.drop("frames", "lost", f"more than {self._limit_s:g} s late", count=count)

@@ -133,9 +133,6 @@ class InstrumentSource(LiveSource):
     def _without_end(self) -> str:
         return "duration_s=SECONDS" if self._options.duration_s is None else ""
 
-    def _queue(self) -> Inbox[Any]:
-        return self._inbox
-
     def _receive(self) -> None:
         """Take scans until the end; where the instrument is gone, wait for it."""
         while not self._leaving.is_set():

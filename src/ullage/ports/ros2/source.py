@@ -94,9 +94,6 @@ class Ros2Source(LiveSource):
     def _without_end(self) -> str:
         return "duration_s=, idle_s=" if self._options.duration_s is None and self._options.idle_s is None else ""
 
-    def _queue(self) -> Inbox[Any]:
-        return self._inbox
-
     def _release(self) -> None:
         self._peer.close()
 
