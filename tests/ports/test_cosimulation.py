@@ -98,6 +98,10 @@ def with_bad(position, quat):
     [
         (muddled, "x: dropped 100 late"),
         (far_off, "x: dropped 2 bad (a single stamp -4000.38 s away; a single stamp +999"),
+        (
+            lambda events: [*events, ModelPose(6000 * 10**9, (0, 0, 0), (0, 0, 0, 1))],
+            "x: dropped 1 bad (a single stamp",
+        ),
         (with_bad((np.nan, 0, 0), (0, 0, 0, 1)), "x: dropped 3 bad (position is not finite)"),
         (with_bad((0, 0, 0), (0, 0, np.inf, 1)), "x: dropped 3 bad (quaternion is not finite)"),
         (with_bad((0, 0, 0), (0, 0, 0, 2)), "x: dropped 3 bad (quaternion is not of unit length)"),

@@ -360,6 +360,14 @@ def test_each_ray_sensor_is_a_radar_of_the_rig():
     assert whole["front"].spec == Rig.preset("thesis-4").sensors["front"].but(thesis=whole["front"].spec.thesis)
 
 
+def test_a_source_of_scans_ends_once_it_is_stopped_and_none_is_left():
+    feed, peer = feed_of_model("front", *LINKS)
+    peer.events.append(FRAMINGS[1].scan(10**9, "/gazebo/w/x/base/front/scan"))
+    with ScanSource(lambda: feed, Rig.preset("thesis-4"), ClassicOptions(model="x", rays="front")) as live:
+        live.stop()
+        assert sum(len(piece["front"]) for piece in live.stream()) == 1
+
+
 def test_gzserver_is_asked_where_everything_is_and_tells_what_comes_and_goes():
     peer = Notebook(Classic.found, FRAMINGS[1].status(7 * 10**9))
     feed = Classic.feed(peer, "x", "box", "wall")
