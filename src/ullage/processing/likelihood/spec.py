@@ -19,7 +19,7 @@ class LikelihoodSpec:
     # keyframes and matched sums
     keyframe_m: float = 0.06  # track between keyframes: a quarter of the window, so that a surface is seen often
     window_m: float = 0.22  # half length of the aperture: a lobe of 5 deg at 7.3 GHz, short enough for round walls
-    spacing_m: float = 0.015  # least track between frames that count, so that standing still adds nothing
+    spacing_m: float = 0.015  # least track between frames that count
     directions: int = 108  # bearings of the first search, every 3.3 deg: less than the width of the aperture's lobe
     most_curvature: float = 3.0  # greatest curvature of the range along the track [1/m]
     most_echoes: int = 12  # of one keyframe
