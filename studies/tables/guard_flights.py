@@ -1,6 +1,6 @@
 """Fly seeded flights at obstacles with and without the guard: a row a flight, and a Markdown table by kind.
 
-    python -m studies.tables.guard_flights --count 14 [--kind wire --kind corner] [--first 0] [--to guard_flights.csv]
+    python -m studies.tables.guard_flights --count 14 [--kind wire --kind pole] [--first 0] [--stagger] [--to FILE.csv]
     python -m studies.tables.guard_flights --table-only --to guard_flights.csv
 
 The hall is a steel tunnel 30 m long, 9 m wide and 5 m high, open at its ends. The kind far_wall closes it 12 m ahead,
@@ -192,10 +192,11 @@ KINDS: dict[str, Callable[[np.random.Generator, float], Case]] = {
 }
 
 
-def drawn(kind: str, seed: int) -> Case:
-    """The case of a kind and seed."""
+def drawn(kind: str, seed: int, *, stagger: bool = False) -> Case:
+    """The case of a kind and seed, with two pulse intervals in turn where this is asked for and no other is set."""
     draw = np.random.default_rng([sum(kind.encode()), seed])
-    return KINDS[kind](draw, float(draw.uniform(0.3, 1.0)))
+    case = KINDS[kind](draw, float(draw.uniform(0.3, 1.0)))
+    return replace(case, radar=case.radar or {"stagger_div": 17}) if stagger else case
 
 
 def plan_of(case: Case, seed: int) -> Any:
@@ -307,9 +308,9 @@ def guarded(case: Case, seed: int) -> dict[str, Any]:
             "flight_s": f"{flight.flown.duration_s:.1f}", "cpu_s": f"{cpu_s:.2f}"}  # fmt: skip
 
 
-def rows_of(kind: str, seed: int) -> list[dict[str, str]]:
+def rows_of(kind: str, seed: int, *, stagger: bool = False) -> list[dict[str, str]]:
     """The rows of a case: without the guard and with it."""
-    case = drawn(kind, seed)
+    case = drawn(kind, seed, stagger=stagger)
     key = {"kind": kind, "seed": seed, "speed_m_s": f"{case.speed_m_s:.2f}", "echo_db": f"{echo_db(case, seed):.1f}"}
     both = (unguarded(case, seed), guarded(case, seed))
     return [{name: str(value) for name, value in (key | {"guard": k} | row).items()} for k, row in enumerate(both)]
@@ -358,6 +359,7 @@ def main() -> None:
     parser.add_argument("--kind", action="append", choices=list(KINDS), help="again for several; none: all")
     parser.add_argument("--count", type=int, default=14, help="flights of each kind")
     parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--stagger", action="store_true", help="two pulse intervals in turn in all kinds")
     parser.add_argument("--table-only", action="store_true", help="fly nothing")
     parser.add_argument("--to", type=Path, default=Path("guard_flights.csv"))
     given = parser.parse_args()
@@ -369,7 +371,7 @@ def main() -> None:
     for seed, kind in itertools.product(seeds, given.kind or KINDS):
         if (kind, str(seed)) in known:
             continue
-        new = rows_of(kind, seed)
+        new = rows_of(kind, seed, stagger=given.stagger)
         with given.to.open("a", newline="") as file:
             csv.DictWriter(file, FIELDS, lineterminator="\n").writerows(new)
         rows += new

@@ -2,10 +2,10 @@
 
 Where the pulse interval alternates from frame to frame, an echo from beyond the unambiguous range jumps by the
 difference of the two intervals. Among many such echoes one may come to lie where another was, so that a false echo is
-there in every frame. Its level tells: an obstacle has nearly the same level in both kinds of frames, and of the false
-echo each level returns where the fold jumps to. Both explanations predict the level in the frame before. The mean
-squares of their errors are compared as in a test of two variances: levels fluctuate by an unknown amount, and n errors
-of each have a likelihood ratio of (their quotient)^(n / 2).
+there in every frame. Levels tell them apart. An obstacle has nearly the same level in both kinds of frames. A fold has
+its level where it jumps from, and at its new place the level before was that of another echo. Both explanations thus
+predict a level in the frame before, with errors of an unknown variance. The generalised likelihood ratio of n Gaussian
+errors is the quotient of their mean squares to the power of n / 2 [Kay1998, ch. 9].
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ullage.processing.bearings import LEVEL_DB
 from ullage.specs import RadarSpec
 
 FOLDS = 2
-"""Pulse intervals that an echo may be late by."""
+"""By how many pulse intervals an echo may be late."""
 _NEAR_BINS = 1  # a peak lies so far from where it is expected
 
 
@@ -56,7 +56,7 @@ def errors_of(
     axis_m: Floats,
     blind_m: float,
 ) -> tuple[float, Floats] | None:
-    """Compute how wrong an obstacle and the folds are about the frame before one; None: only one pulse interval.
+    """Compute by how much obstacle and folds err on the level in the frame before; None: only one pulse interval.
 
     Args:
         spec: of the radar.
