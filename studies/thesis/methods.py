@@ -14,6 +14,7 @@ from studies.thesis.workspace import Workspace
 from ullage.grids import Grid, OccupancyMap
 from ullage.processing.metrics import hover_change, map_quality
 from ullage.processing.occupancy import Mapper, map_occupancy
+from ullage.processing.own_echo import own_echo
 from ullage.world.scene import Scene
 from ullage.world.section import section
 
@@ -66,9 +67,10 @@ def hovered(scene: Scene, grid: Grid, frames: Recordings, seed: int) -> dict[str
     path = flights.hovering(flights.level_round(seed), np.random.default_rng(seed + 200))
     still = flights.received(scene, path, seed + 200)
     alone, longer = Mapper(grid, method="likelihood"), Mapper(grid, method="likelihood")
+    own = [own_echo(part) for part in frames.values()]  # a mapper takes frames without it
     for mapper in (alone, longer):
-        mapper.update(frames)
-    longer.update(still)
+        mapper.update([echo.removed_from(part) for echo, part in zip(own, frames.values(), strict=True)])
+    longer.update([echo.removed_from(part) for echo, part in zip(own, still.values(), strict=True)])
     for mapper in (alone, longer):
         mapper.finish()
     found = hover_change(alone.map(), longer.map(), scene, frames)

@@ -437,6 +437,16 @@ def test_phases_of_amplitudes_are_never_used():
     assert np.abs(mapped(envelopes(frames)).map().percent - mapped(envelopes(turned)).map().percent).max() == 0
 
 
+def test_the_own_echo_in_amplitudes_shows_no_wall():
+    """Without phase it cannot be subtracted, and its end must not ring into the ranges beyond it."""
+    frames = envelopes(flown(curve(spacing=0.03)))
+    for name, part in frames.items():
+        near = part.range_m < part.spec.own_echo_m
+        assert near.any()
+        frames[name] = replace(part, samples=part.samples + np.float32(0.5) * near)
+    assert mapped(frames).surfaces() == []
+
+
 def test_amplitudes_of_noise_show_nothing():
     mapper = mapped(envelopes(flown(curve(spacing=0.03))))
     assert mapper.surfaces() == []

@@ -24,7 +24,7 @@ LATEST_NS = 10_000_000_000  # a sensor that lags by more is not waited for
 NEVER_NS = -(2**62)
 GAP_NS = 1_000_000_000  # without frames of the leading sensor, after which another one leads
 NORMAL_MAD = 1.4826  # standard deviation of normal noise over its median absolute deviation
-TURN_RAD = np.radians(3.0)  # a frame counts after such a turn, too
+COS_TURN = math.cos(math.radians(3.0))  # a frame counts after such a turn, too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +95,7 @@ class KeyframeSelector:
         self._last: Row | None = None
 
     def add(self, part: Frames) -> None:
-        """Take frames of one sensor; frames that have hardly moved since the last one are left out."""
+        """Take frames of one sensor; those near to one of the same aperture are left out."""
         channel = self._channels.get(part.sensor)
         if channel is None:
             channel = self._channels[part.sensor] = _channel_of(part)
@@ -106,25 +106,28 @@ class KeyframeSelector:
             gap_ns = int(part.t_ns[i]) - channel.seen_ns if channel.seen_ns > NEVER_NS else 0
             gap_ns, channel.seen_ns = max(gap_ns, channel.waited_ns), int(part.t_ns[i])
             channel.waited_ns = gap_ns
-            if channel.rows and not self._has_moved(channel.rows[-1], path.position[i], axes[i]):
+            if any(self._is_near(row, path.position[i], axes[i]) for row in reversed(channel.rows)):
                 continue
             samples = np.asarray(part.samples[i])
-            samples, noise = self._without_mean(samples) if channel.envelope else (samples, _noise(samples))
+            samples, noise = self._above_noise(samples, channel) if channel.envelope else (samples, _noise(samples))
             row = Row(channel.seen_ns, path.position[i], axes[i], turns[i], _upsampled(samples), noise, gap_ns)
             channel.rows.append(row)
             channel.waited_ns = 0
 
-    def _without_mean(self, samples: NDArray[np.floating]) -> tuple[NDArray[np.floating], float]:
+    def _above_noise(self, samples: NDArray[np.floating], channel: Channel) -> tuple[NDArray[np.floating], float]:
         """Amplitudes (b) less what noise alone gives, and the noise of equal false alarms in sums with phase.
 
-        An envelope of noise has a Rayleigh distribution, whose median is within 6 % of its mean.
+        An envelope of noise has a Rayleigh distribution, whose median is within 6 % of its mean. The own echo cannot be
+        subtracted without phase. It is left out, for its end would ring in the spectrum that upsampling widens.
         """
         above = samples - np.median(samples)
-        return above, self._of_sums * NORMAL_MAD * float(np.median(np.abs(above)))
+        noise = self._of_sums * NORMAL_MAD * float(np.median(np.abs(above)))
+        above[: max(math.ceil((channel.own_m - channel.start_m) / (UPSAMPLING * channel.bin_m)), 0)] = 0
+        return above, noise
 
-    def _has_moved(self, before: Row, position: Floats, axis: Floats) -> bool:
-        away = float(np.linalg.norm(position - before.position))
-        return away >= self._spec.spacing_m or float(axis @ before.axis) < np.cos(TURN_RAD)
+    def _is_near(self, row: Row, position: Floats, axis: Floats) -> bool:
+        away = math.dist(position, row.position)
+        return away < self._spec.spacing_m and float(axis @ row.axis) >= COS_TURN
 
     def ready(self, *, finish: bool = False) -> Iterator[Keyframe]:
         """The keyframes whose apertures are complete; at the end those that are left."""
