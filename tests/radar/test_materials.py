@@ -5,7 +5,7 @@ import pytest
 
 import ullage as ul
 from ullage.geometry import C0
-from ullage.radar.penetration import coherent, fresnel, reflection_tables, slab
+from ullage.radar.penetration import coherent, fresnel, reflection_tables, slab, stack
 from ullage.world.materials import MATERIALS, Material, material
 
 
@@ -94,6 +94,83 @@ def test_thick_slab_echoes_apart():
     gamma, lag, _ = reflection_tables([thick], ul.RadarSpec.preset("x4m05"))
     assert lag[0, 1, -1] == pytest.approx(2 * 0.3 * 2 / C0)
     assert abs(gamma[0, 1, 0, -1]) == pytest.approx((1 - 1 / 9) / 3)
+
+
+def matrices(layers, load, frequency, cosine, tm):
+    """R and T of layers before a load by the product of their transfer matrices; None: a perfect conductor."""
+    k, whole = 2 * np.pi * frequency / C0, np.eye(2, dtype=complex)
+    for eps, thickness in layers:
+        q = np.sqrt(eps - (1 - cosine**2) + 0j)
+        z, turn = (q / eps if tm else 1 / q), k * q * thickness
+        whole = whole @ [[np.cos(turn), 1j * z * np.sin(turn)], [1j * np.sin(turn) / z, np.cos(turn)]]
+    z0 = cosine if tm else 1 / cosine
+    if load is None:
+        impedance = whole[0, 1] / whole[1, 1]
+        return (impedance - z0) / (impedance + z0), 0.0
+    q = np.sqrt(load - (1 - cosine**2) + 0j)
+    field, current = whole @ [1.0, load / q if tm else q]
+    free = np.exp(1j * k * cosine * sum(thickness for _, thickness in layers))
+    return (field - z0 * current) / (field + z0 * current), 2 * free / (field + z0 * current)
+
+
+@pytest.mark.parametrize("cosine", [1.0, 0.7, 0.3])
+@pytest.mark.parametrize("behind", [None, 1.0, 5.3 - 0.4j])
+def test_layers_against_the_product_of_their_transfer_matrices(behind, cosine):
+    layers = [(2.9 - 0.02j, 0.0011), (1.3 - 0.001j, 0.047), (6.2 - 0.3j, 0.004)]
+    reflected, through = stack(layers, behind, 7.29e9, cosine)
+    for ours, beyond, tm in zip(reflected, through, (False, True), strict=True):
+        assert abs(ours - matrices(layers, behind, 7.29e9, cosine, tm)[0]) < 1e-9
+        assert abs(beyond - matrices(layers, behind, 7.29e9, cosine, tm)[1]) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("base", "layers"),
+    [
+        ("steel", [("oil", 0.004)]),
+        ("steel", [("plastic", 0.001), ("ceiling-board", 0.06)]),
+        ("concrete", [("plastic", 0.002), ("plasterboard", 0.0125)]),
+    ],
+)
+def test_a_coated_surface_reflects_each_frequency_of_the_pulse_as_its_layers_do(base, layers):
+    spec = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None)
+
+    def received(one):
+        wall = ul.scenes.plate(width_m=12, height_m=12, distance_m=2.0, material=one)
+        return np.asarray(ul.simulate(wall, ul.Trajectory.stationary(n=1), spec).samples[0])
+
+    mirror, echo = received("pec"), received(material(base).but(layers=layers, thickness_m=None))
+    offset_hz = np.fft.fftfreq(4096, 2 * spec.bin_m / C0)
+    media = [(material(name).permittivity(spec.center_hz), thick) for name, thick in layers]
+    behind = None if base == "steel" else material(base).permittivity(spec.center_hz)
+    reflection = np.array([stack(media, behind, spec.center_hz + f, 1.0)[0][0] for f in offset_hz])
+    expected = np.fft.ifft(np.fft.fft(mirror, 4096) * -reflection)[: len(mirror)]
+    assert abs(echo - expected).max() < 10 ** (-26 / 20) * abs(expected).max()
+
+
+def klein_swift(ghz, t, s):
+    """Permittivity of sea water by a single Debye term, a fit of its own to other measurements (Klein, Swift 1977)."""
+    static = 87.134 - 1.949e-1 * t - 1.276e-2 * t**2 + 2.491e-4 * t**3
+    static *= 1 + 1.613e-5 * s * t - 3.656e-3 * s + 3.21e-5 * s**2 - 4.232e-7 * s**3
+    tau = 1.768e-11 - 6.086e-13 * t + 1.104e-14 * t**2 - 8.111e-17 * t**3
+    tau *= 1 + 2.282e-5 * s * t - 7.638e-4 * s - 7.760e-6 * s**2 + 1.105e-8 * s**3
+    less = 25 - t
+    sigma = s * (0.182521 - 1.46192e-3 * s + 2.09324e-5 * s**2 - 1.28205e-7 * s**3)
+    beta = 2.033e-2 + 1.266e-4 * less + 2.464e-6 * less**2 - s * (1.849e-5 - 2.551e-7 * less + 2.551e-8 * less**2)
+    omega = 2e9 * np.pi * ghz
+    return 4.9 + (static - 4.9) / (1 + 1j * omega * tau) - 1j * sigma * np.exp(-beta * less) / (omega * 8.854e-12)
+
+
+@pytest.mark.parametrize(("celsius", "salinity"), [(2.0, 35.0), (20.0, 35.0), (20.0, 12.0), (30.0, 0.0)])
+def test_sea_water_is_that_of_another_fit(celsius, salinity):
+    water = material("sea-water").but(celsius=celsius, salinity=salinity)
+    for ghz in (1.4, 4.3, 7.3):
+        assert water.permittivity(ghz * 1e9) == pytest.approx(klein_swift(ghz, celsius, salinity), rel=0.03)
+
+
+def test_layers_that_cannot_be_are_refused():
+    for layers in ([("steel", 0.01)], [("oil", 0.0)], [("gold", 0.01)]):
+        with pytest.raises(ul.InputError):
+            material("steel").but(layers=layers)
 
 
 @pytest.mark.parametrize("thickness_m", [0.0115, 0.0125, 0.0135, 0.04])

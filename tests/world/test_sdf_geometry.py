@@ -183,7 +183,8 @@ def test_thin_rods_become_wires(load):
 
 def test_names_and_materials(load):
     box = "<box><size>1 1 1</size></box>"
-    tag = '<ullage:material thickness_m="0.3" roughness_m="0.002">concrete</ullage:material>'
+    values = 'thickness_m="0.3" roughness_m="0.002" layers="oil 0.001, wood 0.02"'
+    tag = f"<ullage:material {values}>concrete</ullage:material>"
     scene = load(
         f"""<model name="one"><link name="l">{collision(box)}</link></model>
         <model name="two"><link name="a">{collision(box)}</link><link name="b">{collision(box)}</link></model>
@@ -208,6 +209,7 @@ def test_names_and_materials(load):
     assert made["mixed::x"].name == made["mixed::y"].name == "wood"
     assert made["mixed::y"].reflection == 0.25
     assert (made["mixed::z"].thickness_m, made["mixed::z"].roughness_m) == (0.3, 0.002)
+    assert made["mixed::z"].layers == (("oil", 0.001), ("wood", 0.02))
     assert len(scene.faces) == 12 * 7
 
 
@@ -253,6 +255,10 @@ def test_the_material_tag_is_known_by_its_prefix_too(tmp_path, prefix):
          r"w\.sdf:1: thickness_m"),
         (collision("<box><size>1 1 1</size></box>", more="<ullage:material thickness_m='x'>wood</ullage:material>"),
          "not a number"),
+        (collision("<box><size>1 1 1</size></box>", more="<ullage:material layers='oil'>steel</ullage:material>"),
+         "layers=\"NAME METRES"),
+        (collision("<box><size>1 1 1</size></box>", more="<ullage:material layers='tin 0.1'>steel</ullage:material>"),
+         r"w\.sdf:1: no material 'tin'"),
         (collision("<box><size>1 1 1</size></box>", more="<ullage:material thick='1'>wood</ullage:material>"),
          r"has 'thick' \(allowed: thickness_m"),
     ],

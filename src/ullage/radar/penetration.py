@@ -1,4 +1,4 @@
-"""Plane layers: Fresnel coefficients, slabs with all inner reflections, and transmission.
+"""Plane layers: Fresnel coefficients, coated surfaces and slabs with all inner reflections, and transmission.
 
 Time runs as e^{+jwt}; permittivity is eps' - j eps''. Both polarisations are given for the electric field's tangential
 sense, so that at normal incidence TE and TM agree, and a perfect conductor reflects -1 in both.
@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,9 +22,9 @@ from ullage.world.materials import Material
 
 COSINES = 65
 """Entries of a table over cos(incidence), from 0 to 1."""
-TAPS = 3
-"""Echoes of a slab that are kept apart: its face, its back, and all later ones together."""
-_BROAD = 0.25  # of a slab longer than this part of the pulse, there and back, only the face counts in bounces
+TAPS, SLAB_TAPS = 5, 3
+"""Echoes of layers that are kept apart; those of a slab are its face, its back, and all later ones together."""
+_BROAD = 0.25  # of layers longer than this part of the pulse, there and back, only the nearest echoes bounce
 _FAINT = 10 ** (-50 / 20)  # inner echoes below this are left out
 
 
@@ -38,23 +40,61 @@ def fresnel(eps: complex, cosine: ArrayLike) -> tuple[Complexes, Complexes]:
 def slab(
     eps: complex, thickness_m: float, frequency_hz: float, cosine: ArrayLike
 ) -> tuple[Complexes, Complexes, Complexes, Complexes]:
-    """Compute reflection and transmission of a slab in air, TE and TM; transmission relative to the path without it.
+    """Compute reflection and transmission of a slab in air, TE and TM; transmission as of `stack`."""
+    reflected, through = stack([(eps, thickness_m)], 1.0, frequency_hz, cosine)
+    return reflected[0], reflected[1], through[0], through[1]
 
-    All inner reflections are summed [Orfanidis, ch. 8]; the transmitted wave's phase is that of the slab less that of
-    the air it replaces.
+
+def stack(
+    layers: Sequence[tuple[complex, float]], behind: complex | None, frequency_hz: float, cosine: ArrayLike
+) -> tuple[Complexes, Complexes]:
+    """Compute reflection and transmission (2, c) of plane layers in air, TE and TM.
+
+    All inner reflections are summed from the last interface to the first [Orfanidis, eq. 6.1.3]. Transmission is
+    relative to the path without the layers: its phase is theirs less that of the air they replace.
+
+    Args:
+        layers: permittivity and thickness [m] of each, the outermost first.
+        behind: permittivity of what follows; None: a perfect conductor.
+        frequency_hz: of the wave [Hz].
+        cosine: (c) of the incidence.
     """
     c = np.asarray(cosine, float)
     k = 2 * np.pi * frequency_hz / C0
-    inner = np.sqrt(eps - (1 - c * c) + 0j)
-    once = np.exp(-1j * k * thickness_m * inner)
-    free = np.exp(1j * k * thickness_m * c)
-    out: list[Complexes] = []
-    through: list[Complexes] = []
-    for r in fresnel(eps, c):
-        loop = 1 - r * r * once * once
-        out.append(r * (1 - once * once) / loop)
-        through.append((1 - r * r) * once * free / loop)
-    return out[0], out[1], through[0], through[1]
+    eps = [1.0 + 0j, *(complex(one) for one, _ in layers)]
+    inner = [c + 0j, *(np.sqrt(one - (1 - c * c) + 0j) for one in eps[1:])]
+    if behind is None:
+        out, through = np.full((2, *c.shape), -1.0 + 0j), np.zeros((2, *c.shape), complex)
+    else:
+        out = _interface(eps[-1], inner[-1], complex(behind), np.sqrt(behind - (1 - c * c) + 0j))
+        through = 1 + out
+    for n in range(len(layers), 0, -1):
+        thickness_m = layers[n - 1][1]
+        once = np.exp(-1j * k * thickness_m * inner[n])
+        r = _interface(eps[n - 1], inner[n - 1], eps[n], inner[n])
+        loop = 1 + r * out * once * once
+        through = (1 + r) * through * once * np.exp(1j * k * thickness_m * c) / loop
+        out = (r + out * once * once) / loop
+    return out, through
+
+
+def _interface(eps: complex, inner: Complexes, other: complex, beyond: Complexes) -> Complexes:
+    """Reflection (2, c) at the interface of two media, TE and TM; none between like ones."""
+    if eps == other:
+        return np.zeros((2, *inner.shape), complex)
+    te = (inner - beyond) / (inner + beyond)
+    return np.stack([te, -(other * inner - eps * beyond) / (other * inner + eps * beyond)])
+
+
+def _layers_of(material: Material, frequency_hz: float) -> tuple[list[tuple[complex, float]], complex | None]:
+    """Layers of a material from its face on, and what follows, as of `stack`; a sheet is coated on both sides."""
+    coat = [(one.permittivity(frequency_hz), thick) for one, thick in material.coating]
+    if material.conductor:
+        return coat, None
+    eps = material.permittivity(frequency_hz)
+    if material.thickness_m is None:
+        return coat, eps
+    return [*coat, (eps, material.thickness_m), *reversed(coat)], 1.0
 
 
 @lru_cache(maxsize=512)
@@ -66,12 +106,16 @@ def _tables(material: Material, center_hz: float, bandwidth_hz: float) -> tuple[
     c = np.linspace(0, 1, COSINES)
     gamma = np.zeros((TAPS, 2, COSINES), complex)
     lag = np.full((TAPS, COSINES), -1.0)
-    lag[0] = 0.0
-    if material.conductor:
-        gamma[0] = -1.0
-        bounce = gamma[:1]
-    else:
-        bounce = _fill_dielectric(material, center_hz, bandwidth_hz, c, gamma, lag)
+    layers, behind = _layers_of(material, center_hz)
+    found = _echoes_of(layers, behind, center_hz, c, TAPS if material.layers else SLAB_TAPS)
+    loudest = max(one.level for one in found)
+    found = found[:1] + [one for one in found[1:] if one.level > _FAINT * loudest]
+    for tap, one in enumerate(found):
+        gamma[tap] = one.value * np.exp(2j * np.pi * center_hz * one.late)  # a delayed echo turns the carrier by itself
+        lag[tap] = one.late
+    longest = sum(2 * thick * abs(np.sqrt(eps)) / C0 for eps, thick in layers) * bandwidth_hz
+    near = [one for one in found if longest < _BROAD or one.late.max() * bandwidth_hz < _BROAD]
+    bounce = np.asarray(sum(one.value for one in near))[None]
     if material.roughness_m:
         wave = 2 * np.pi * center_hz / C0
         share = coherent(wave * material.roughness_m, c)
@@ -79,35 +123,70 @@ def _tables(material: Material, center_hz: float, bandwidth_hz: float) -> tuple[
     return gamma, lag, bounce
 
 
-def _fill_dielectric(
-    material: Material, center_hz: float, bandwidth_hz: float, c: Floats, gamma: Complexes, lag: Floats
-) -> Complexes:
-    """Fill the echoes of a half-space or slab and their delays; give what bounces (1, 2, c).
+class _Echo(NamedTuple):
+    """An echo of plane layers, TE and TM, against cos(incidence)."""
 
-    With r of the face and one round trip P = exp(-2jkd sqrt(eps - sin^2)), a slab reflects
-    r (1 - P) / (1 - r^2 P) = r - (1 - r^2) (r P + r^3 P^2 + ...) [Orfanidis, sec. 5.4]. Each term is an echo with a
-    delay of its own, so the sum is right over the whole band, nulls included. The last echo stands for all later ones.
+    late: Floats  # (c) its delay over that of the face [s]
+    value: Complexes  # (2, c) with the carrier's turn
+
+    @property
+    def level(self) -> float:
+        """Its greatest amplitude."""
+        return float(np.abs(self.value).max())
+
+
+def _echoes_of(
+    layers: Sequence[tuple[complex, float]], behind: complex | None, center_hz: float, c: Floats, most: int
+) -> list[_Echo]:
+    """Compute the echoes of plane layers one by one, in order of delay; their sum is the reflection at the carrier.
+
+    With r of an interface, G of all that lies behind it and P of the way through the layer and back, the reflection is
+    (r + G P) / (1 + r G P) = r + (1 - r^2) (G P - r (G P)^2 + ...) [Orfanidis, eq. 6.1.3]. Each product of G's echoes
+    is an echo with a delay of its own, so that the sum is right over the whole band, nulls included.
+
+    Args:
+        layers: as of `stack`.
+        behind: as of `stack`.
+        center_hz: carrier [Hz].
+        c: (c) cosines of the incidence.
+        most: echoes that are kept apart. Those that lie nearest, and the faintest, become one.
     """
-    eps = material.permittivity(center_hz)
-    face = fresnel(eps, c)
-    gamma[0, 0], gamma[0, 1] = face
-    if material.thickness_m is None:
-        return gamma[:1]
-    inner = np.sqrt(eps - (1 - c * c) + 0j)
-    trip = 2 * material.thickness_m * inner.real / C0
-    loss = np.exp(-2j * 2 * np.pi * center_hz / C0 * material.thickness_m * inner)
-    if abs(loss).max() < _FAINT:
-        return gamma[:1]
-    lag[1:] = trip * np.arange(1, TAPS)[:, None]
-    turn = np.exp(2j * np.pi * center_hz * trip)  # a delayed echo turns the carrier by itself
-    whole = np.stack(slab(eps, material.thickness_m, center_hz, c)[:2])
-    rest = whole - gamma[0]
-    for n in range(1, TAPS):
-        r = np.stack(face)
-        term = rest if n == TAPS - 1 else -(1 - r * r) * r ** (2 * n - 1) * loss**n
-        gamma[n] = term * turn**n
-        rest = rest - term
-    return whole[None] if trip.max() * bandwidth_hz < _BROAD else gamma[:1]
+    media = [(1.0 + 0j, 0.0), *layers]
+    inner = [c + 0j, *(np.sqrt(eps - (1 - c * c) + 0j) for eps, _ in layers)]
+    k, out = 2 * np.pi * center_hz / C0, list[_Echo]()
+    for n in range(len(layers), -1, -1):
+        if n == len(layers):
+            last = -np.ones((2, len(c))) if behind is None else _interface(
+                media[n][0], inner[n], behind, np.sqrt(behind - (1 - c * c) + 0j))  # fmt: skip
+            out = [_Echo(np.zeros_like(c), np.asarray(last, np.complex128))]
+            continue
+        thick = media[n + 1][1]
+        trip, turn = 2 * thick * inner[n + 1].real / C0, np.exp(-2j * k * thick * inner[n + 1])
+        r = _interface(media[n][0], inner[n], media[n + 1][0], inner[n + 1])
+        inside = [_Echo(one.late + trip, one.value * turn) for one in out]
+        whole = sum(one.value for one in inside)
+        whole = (r + whole) / (1 + r * whole)
+        out, again = [_Echo(np.zeros_like(c), r)], [_Echo(one.late, (1 - r * r) * one.value) for one in inside]
+        for _ in range(most):
+            out += again
+            again = _apart([_Echo(a.late + b.late, -r * a.value * b.value) for a in again for b in inside], most)
+        out = _apart(out, most)
+        rest = whole - sum(one.value for one in out)  # of all later echoes
+        out[-1] = _Echo(out[-1].late, out[-1].value + rest)
+    return out
+
+
+def _apart(echoes: list[_Echo], most: int) -> list[_Echo]:
+    """Join echoes until few are left: first those whose fainter one has the shortest way to the other."""
+    out = sorted(echoes, key=lambda one: float(one.late[-1]))
+    while len(out) > most:
+        cost = [(b.late[-1] - a.late[-1]) * min(a.level, b.level) for a, b in pairwise(out)]
+        n = int(np.argmin(cost))
+        a, b = out[n], out[n + 1]
+        first, second = (np.sum(np.abs(one.value) ** 2, axis=0) + 1e-30 for one in (a, b))
+        late = (first * a.late + second * b.late) / (first + second)
+        out[n : n + 2] = [_Echo(late, a.value + b.value)]
+    return out
 
 
 def coherent(roughness: float, cosine: ArrayLike) -> Floats:
@@ -164,8 +243,8 @@ def _slab_transmission(material: Material, center_hz: float) -> tuple[Complexes,
     c = np.linspace(0, 1, COSINES)
     if material.conductor or material.thickness_m is None:
         return np.zeros(COSINES, complex), np.zeros(COSINES)
-    eps = material.permittivity(center_hz)
-    _, _, te, tm = slab(eps, material.thickness_m, center_hz, c)
-    late = 2 * material.thickness_m * (np.sqrt(eps - (1 - c * c) + 0j).real - c) / C0
+    layers, behind = _layers_of(material, center_hz)
+    te, tm = stack(layers, behind, center_hz, c)[1]
+    late = sum(2 * thick * (np.sqrt(eps - (1 - c * c) + 0j).real - c) / C0 for eps, thick in layers)
     factor = ((te + tm) / 2) ** 2 * np.exp(2j * np.pi * center_hz * late)
     return (factor if abs(factor).max() > _FAINT else np.zeros(COSINES, complex)), late

@@ -6,7 +6,7 @@ import math
 import re
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from ullage.errors import InputError
 from ullage.specs import Spec
@@ -26,6 +26,11 @@ class Material(Spec):
     c: float = Field(0.0, ge=0)
     d: float = 0.0
     valid_ghz: tuple[float, float] = (0.0, 1000.0)
+    celsius: float = Field(20.0, ge=-2, le=40, description="temperature of water")
+    salinity: float = Field(0.0, ge=0, le=40, description="of water [g/kg]")
+    layers: tuple[tuple[str, float], ...] = Field(
+        (), max_length=8, description="coating on every face: material and thickness [m], the outermost first"
+    )
     thickness_m: float | None = Field(None, gt=0, description="slab thickness; None: thick, nothing comes through")
     roughness_m: float = Field(0.0, ge=0, le=0.1, description="rms height")
     correlation_m: float | None = Field(
@@ -33,6 +38,19 @@ class Material(Spec):
     )
     reflection: float = Field(1.0, ge=0, description="I_m of the thesis model (laser_retro)")
     source: str = ""
+
+    @field_validator("layers")
+    @classmethod
+    def _known(cls, layers: tuple[tuple[str, float], ...]) -> tuple[tuple[str, float], ...]:
+        for name, thickness_m in layers:
+            if material(name).conductor or not thickness_m > 0:
+                raise ValueError(f"no layer can be {thickness_m:g} m of {name}")
+        return layers
+
+    @property
+    def coating(self) -> list[tuple[Material, float]]:
+        """Materials and thicknesses [m] of the layers."""
+        return [(material(name), thickness_m) for name, thickness_m in self.layers]
 
     @property
     def correlation(self) -> float:
@@ -53,7 +71,7 @@ class Material(Spec):
             raise InputError(f"{self.name} has no data at {ghz:g} GHz", where="material",
                              allowed=f"{low:g} to {high:g} GHz")  # fmt: skip
         if self.model == "water":
-            return _water(frequency_hz)
+            return _water(frequency_hz, self.celsius, self.salinity)
         if self.model != "itu":
             return _cole_cole(self.model, frequency_hz)
         return complex(self.a * ghz**self.b, -self.c * ghz**self.d / (2 * math.pi * frequency_hz * EPS0))
@@ -99,6 +117,10 @@ MATERIALS: dict[str, Material] = {
                  source="carbon-filled rubber, typical value without a single source; tan d 0.1"),
         Material(name="water", model="water", valid_ghz=(0.1, 1000), reflection=0.8,
                  source="pure water at 20 C, double Debye of ITU-R P.527-6 [ITU-R-P527]"),
+        Material(name="sea-water", model="water", salinity=35.0, valid_ghz=(0.1, 1000), reflection=0.8,
+                 source="sea water at 20 C, double Debye of ITU-R P.527-6 [ITU-R-P527]"),
+        Material(name="oil", a=2.18, c=3.4e-4, d=1.0, valid_ghz=(1, 25), reflection=0.2,
+                 source="transformer oil, 3 GHz value taken as flat, tan d 0.0028 [VonHippel1954]"),
         Material(name="skin", model="skin", valid_ghz=(0.01, 100), reflection=0.7,
                  source="dry skin, four-term Cole-Cole [Gabriel1996]"),
         Material(name="muscle", model="muscle", valid_ghz=(0.01, 100), reflection=0.7,
@@ -122,11 +144,26 @@ def _cole_cole(tissue: str, frequency_hz: float) -> complex:
     return complex(high + sum(d / (1 + (jw * t) ** (1 - a)) for d, t, a in terms) + conductivity / (jw * EPS0))
 
 
-def _water(frequency_hz: float, celsius: float = 20.0) -> complex:
-    ghz, theta = frequency_hz / 1e9, 300 / (celsius + 273.15) - 1
-    static, middle, high = 77.66 + 103.3 * theta, 0.0671 * (77.66 + 103.3 * theta), 3.52 - 7.52 * theta
-    slow = 20.20 - 146.4 * theta + 316 * theta**2
-    return complex((static - middle) / (1 + 1j * ghz / slow) + (middle - high) / (1 + 1j * ghz / (39.8 * slow)) + high)
+def _water(frequency_hz: float, t: float, s: float) -> complex:
+    """Permittivity of water of `t` deg C with `s` g/kg of sea salt [ITU-R-P527]."""
+    ghz, theta = frequency_hz / 1e9, 300 / (t + 273.15) - 1
+    static, slow = 77.66 + 103.3 * theta, 20.20 - 146.4 * theta + 316 * theta**2
+    middle, fast, high = 0.0671 * static, 39.8 * slow, 3.52 - 7.52 * theta
+    static *= math.exp(s * (-3.56417e-3 + 4.74868e-6 * s + 1.15574e-5 * t))
+    slow *= 1 + s * (2.39357e-3 - 3.13530e-5 * t + 2.52477e-7 * t**2)
+    middle *= math.exp(s * (-6.28908e-3 + 1.76032e-4 * s - 9.22144e-5 * t))
+    fast *= 1 + s * (-1.99723e-2 + 1.81176e-4 * t)
+    high *= 1 + s * (-2.04265e-3 + 1.57883e-4 * t)
+    relaxed = (static - middle) / (1 + 1j * ghz / slow) + (middle - high) / (1 + 1j * ghz / fast) + high
+    return complex(relaxed - 1j * _conductivity(t, s) / (2 * math.pi * frequency_hz * EPS0))
+
+
+def _conductivity(t: float, s: float) -> float:
+    """Conductivity of sea water [S/m] [ITU-R-P527]."""
+    at_35 = 2.903602 + t * (8.607e-2 + t * (4.738817e-4 + t * (-2.991e-6 + t * 4.3047e-9)))
+    at_15_c = s * (37.5109 + 5.45216 * s + 1.4409e-2 * s**2) / (1004.75 + 182.283 * s + s**2)
+    warmer = (6.9431 + 3.2841 * s - 9.9486e-2 * s**2) / (84.850 + 69.024 * s + s**2)
+    return at_35 * at_15_c * (1 + warmer * (t - 15) / (49.843 - 0.2276 * s + 0.198e-2 * s**2 + t))
 
 
 def material(name: str) -> Material:

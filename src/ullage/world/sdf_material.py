@@ -7,13 +7,16 @@ reflection coefficient of the thesis' model; the default is the coefficient of t
 
 from __future__ import annotations
 
+from typing import Any
+
 from ullage.errors import InputError
 from ullage.world.materials import Material, material
 from ullage.world.sdf_parse import NAMESPACE, Node
 from ullage.world.smoothing import CREASES_DEG, Smooth
 
 DEFAULT_MATERIAL = "steel"
-_ATTRIBUTES = ("thickness_m", "roughness_m", "correlation_m")
+_NUMBERS = ("thickness_m", "roughness_m", "correlation_m", "celsius", "salinity")
+_ATTRIBUTES = (*_NUMBERS, "layers")
 
 
 def read_material(shape: Node, inherited: Node | None) -> Material:
@@ -66,9 +69,12 @@ def _tagged(tag: Node) -> Material:
     if other:
         tag.place.refuse(f"<{tag.tag}> has {sorted(other)[0]!r}", allowed=", ".join(_ATTRIBUTES))
     try:
-        changes = {key: float(tag.element.get(key)) for key in _ATTRIBUTES if key in tag.element.attrib}
+        changes: dict[str, Any] = {key: float(tag.element.get(key)) for key in _NUMBERS if key in tag.element.attrib}
+        if layers := tag.element.get("layers"):
+            changes["layers"] = [(name, float(thick)) for name, thick in map(str.split, layers.split(","))]
         return material(tag.text).but(**changes)
     except InputError as error:
         tag.place.refuse(error.what, allowed=error.allowed)
     except ValueError:
-        tag.place.refuse(f"an attribute of <{tag.tag}> is not a number", allowed="a length [m]")
+        allowed = 'numbers; layers="NAME METRES, NAME METRES", the outermost first'
+        tag.place.refuse(f"an attribute of <{tag.tag}> is not a number", allowed=allowed)
