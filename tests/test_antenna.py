@@ -112,3 +112,62 @@ def test_a_sensors_unknown_unit_hides_how_strong_a_wall_could_be():
     spec, path = ul.RadarSpec.preset("x4m05"), ul.Trajectory.stationary(n=1)
     frames = ul.Frames(np.zeros((1, spec.bins), np.complex64), spec.range_m, path.t_ns, spec, unit="normalised")
     assert mirror_m(frames) == np.inf
+
+
+def far_field(path, power, *, axes=((0, 0, 1), (1, 0, 0)), turns=range(0, 360, 5), frequencies=1):
+    """Write a far field of CST with a lobe ((1 + cos) / 2)^m about its own z, half of it in each polarisation."""
+    z, x = np.array(axes, float)
+    tilts = np.arange(0.0, 181.0, 5.0)
+    field = np.sqrt(0.5) * ((1 + np.cos(np.radians(tilts))) / 2) ** (POWER / 2)
+    lines = [
+        "// CST Farfield Source File",
+        "// Version:",
+        "3.0",
+        "// Data Type",
+        "Farfield",
+        "// #Frequencies",
+        frequencies,
+    ]
+    lines += [
+        "// Position",
+        "0 0 0",
+        "// zAxis",
+        *z,
+        "// xAxis",
+        *x,
+        "// Radiated/Accepted/Stimulated Power , Frequency",
+    ]
+    lines += [*power, 7.29e9] * frequencies
+    for _ in range(frequencies):
+        lines += ["// >> Total #phi samples, total #theta samples", len(turns), len(tilts), "// >> Phi, Theta, ..."]
+        lines += [f"{t} {u} {f} 0 0 {f}" for t in turns for u, f in zip(tilts, field, strict=True)]
+    path.write_text("\n".join(map(str, lines)) + "\n")
+    return ul.AntennaSpec(kind="table", file=str(path))
+
+
+POWER = 6
+
+
+@pytest.mark.parametrize(("power", "share"), [((-1, -1, -1), 1.0), ((0.4, 0.45, 0.8), 0.5)])
+@pytest.mark.parametrize("turns", [range(0, 360, 5), range(-180, 181, 5)])
+def test_a_far_field_of_cst_has_its_directivity_and_efficiency(tmp_path, power, share, turns):
+    """The lobe's directivity is m + 1 by the integral over the sphere."""
+    antenna = far_field(tmp_path / "a.ffs", power, turns=turns, frequencies=3)
+    unit = np.array([[1, 0, 0], [np.cos(0.5), np.sin(0.5), 0], [np.cos(1.2), 0, -np.sin(1.2)]])
+    wanted = share * (POWER + 1) * ((1 + unit[:, 0]) / 2) ** POWER
+    assert gain(antenna, unit) ** 2 == pytest.approx(wanted, rel=0.01)
+
+
+def test_a_far_field_of_cst_lies_along_its_axes(tmp_path):
+    """z of the file is the boresight, x is left, y is up; the lobe points to its own z axis."""
+    for axes, unit in [(((1, 0, 0), (0, 1, 0)), (0, 1, 0)), (((0, 1, 0), (0, 0, 1)), (0, 0, 1))]:
+        antenna = far_field(tmp_path / f"{unit[1]}.ffs", (-1, -1, -1), axes=axes)
+        assert gain(antenna, unit)[0] ** 2 == pytest.approx(POWER + 1, rel=0.01)
+
+
+@pytest.mark.parametrize("text", ["", "// CST Farfield Source File\n3.0\nFarfield\n1\n0 0 0", "3.0\nFarfield\nnan nan"])
+def test_a_broken_far_field_is_refused(tmp_path, text):
+    path = tmp_path / "b.ffs"
+    path.write_text(text)
+    with pytest.raises(ul.InputError, match=r"b\.ffs: not a far field"):
+        gain(ul.AntennaSpec(kind="table", file=str(path)), (1, 0, 0))

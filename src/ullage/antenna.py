@@ -95,13 +95,15 @@ def _directivity_dbi(antenna: AntennaSpec) -> float:
 
 @lru_cache(maxsize=8)
 def _table(file: str) -> tuple[Floats, Floats, Floats]:
-    """Azimuths (a), elevations (e) [deg] and gains (a, e) [dBi] of a CSV file."""
+    """Azimuths (a), elevations (e) [deg] and gains (a, e) [dBi] of a CSV file or a far field of CST."""
     path = Path(file)
     try:
-        with path.open(newline="") as handle:
-            rows = list(csv.DictReader(handle))
+        text = path.read_text(errors="replace")
     except OSError as error:
         raise InputError(f"cannot read the antenna table: {error.strerror}", where=path) from None
+    if path.suffix.lower() == ".ffs":
+        return _far_field(text, path)
+    rows = list(csv.DictReader(text.splitlines()))
     try:
         data = np.array([[float(r[c]) for c in ("azimuth_deg", "elevation_deg", "gain_dbi")] for r in rows])
     except (KeyError, TypeError, ValueError):
@@ -115,6 +117,49 @@ def _table(file: str) -> tuple[Floats, Floats, Floats]:
     if np.isnan(grid).any() or min(grid.shape) < 2:
         raise InputError("the antenna table has gaps", where=path, allowed="every azimuth with every elevation")
     return az, el, grid
+
+
+def _far_field(text: str, path: Path) -> tuple[Floats, Floats, Floats]:
+    """The same of a far-field source of CST, version 3, at the middle one of its frequencies.
+
+    The boresight is z in the file and left is x. The gain is the directivity times the radiated power over the
+    stimulated one, if the file names both, and has both polarisations together.
+    """
+    from scipy.integrate import trapezoid
+    from scipy.interpolate import RegularGridInterpolator
+
+    words = " ".join(line for line in text.splitlines() if not line.lstrip().startswith("//")).split()
+    try:
+        values = np.array([float(word) for word in words[2:]])
+        count = int(values[0])
+        axes, power = values[4:10].reshape(2, 3), values[10 : 10 + 4 * count].reshape(count, 4)
+        size = [int(value) for value in values[10 + 4 * count : 12 + 4 * count]]
+        parts = values[10 + 4 * count :].reshape(count, 2 + 6 * size[0] * size[1])[:, 2:]
+        phi, theta, *field = parts[count // 2].reshape(size[0], size[1], 6).transpose(2, 0, 1)
+        turns, tilts = phi[:, 0], theta[0]
+        known = np.all(np.diff(turns) > 0) and np.all(np.diff(tilts) > 0) and np.isfinite(parts).all()
+        whole = known and np.ptp(turns) >= 360 - 1.5 * np.diff(turns).max() and np.ptp(tilts) > 179
+    except (IndexError, ValueError):
+        whole = False
+    if words[1:2] != ["Farfield"] or not whole:
+        raise InputError(
+            "not a far field", where=path, allowed="a far-field source of CST, version 3, of the whole sphere"
+        )
+    density = np.sum(np.square(field), axis=0)
+    if np.ptp(turns) < 360:  # the first cut again, as the last one
+        turns, density = np.append(turns, turns[0] + 360), np.concatenate([density, density[:1]])
+    ring = trapezoid(density, np.radians(turns), axis=0) * np.sin(np.radians(tilts))
+    radiated, _, stimulated, _ = power[count // 2]
+    share = radiated / stimulated if min(radiated, stimulated) > 0 else 1.0
+    gain = share * 4 * np.pi * density / trapezoid(ring, np.radians(tilts))
+    az, el = np.arange(-180.0, 181.0, 2.0), np.arange(-90.0, 91.0, 2.0)
+    a, e = np.radians(np.stack(np.meshgrid(az, el, indexing="ij")))
+    unit = np.stack([np.cos(e) * np.sin(a), np.sin(e), np.cos(e) * np.cos(a)], axis=-1)  # x, y and z of the file
+    z, x = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    tilt = np.degrees(np.arccos(np.clip(unit @ z, -1, 1)))
+    turn = (np.degrees(np.arctan2(unit @ np.cross(z, x), unit @ x)) - turns[0]) % 360 + turns[0]
+    sampled = RegularGridInterpolator((turns, tilts), gain, bounds_error=False, fill_value=None)
+    return az, el, 10 * np.log10(np.maximum(sampled(np.stack([turn, tilt], axis=-1)), 1e-12))
 
 
 def _table_peak(antenna: AntennaSpec) -> float:
