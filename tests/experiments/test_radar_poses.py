@@ -16,7 +16,7 @@ SHORT = {"name": "short", "world": {"name": "ntnu-room"},
 
 def test_processors_believe_what_the_radars_show_and_not_the_truth() -> None:
     ready = prepare(make_scenario(SHORT))
-    with pytest.warns(ul.UllageWarning, match="simulated from the true flight.*err by more than they say"):
+    with pytest.warns(ul.UllageWarning, match="simulated from the true flight.*often lost"):
         front = gathered(ready.stream())["front"]
     truth = ready.flown.mounted(front.spec.mount.body_from_sensor()).at(front.t_ns)
     error = np.linalg.norm(front.believed.position - truth.position, axis=1)

@@ -23,7 +23,7 @@ WATCHED_S = 0.5
 
 DOUBTFUL = (
     "poses come from the radars, with an inertial unit and an altimeter simulated from the true flight; "
-    "in holds and round tanks they err by more than they say"
+    "they are often lost within half a minute"
 )
 """What a run by such poses warns of."""
 

@@ -14,15 +14,10 @@ import numpy as np
 from ullage.arrays import Floats
 from ullage.flight.airframe import GRAVITY_M_S2
 from ullage.flight.imu import ImuSpec
-from ullage.processing.odometry.jets import UP, Jet
+from ullage.processing.odometry.jets import UP, Jet, cross
 
 BODY = 15  # attitude, position, velocity, bias of turn rate, bias of specific force
 _TURN, _PLACE, _SPEED, _GYRO, _ACCEL = (slice(k, k + 3) for k in range(0, BODY, 3))
-
-
-def cross(v: Floats) -> Floats:
-    """The matrix (3, 3) of a cross product from the left."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def turned_by(v: Floats) -> Floats:
@@ -153,7 +148,7 @@ class Filter:
         out = np.zeros((len(self.covariance), 4))
         out[2, 3] = 1.0
         out[_PLACE, :3] = np.eye(3)
-        out[_PLACE, 3], out[_SPEED, 3] = np.cross(UP, self.position), np.cross(UP, self.velocity)
+        out[_PLACE, 3], out[_SPEED, 3] = cross(UP) @ self.position, cross(UP) @ self.velocity
         for block in self.blocks:
             if block.jet is not None:
                 out[block.rows] = block.jet.gauge()

@@ -22,6 +22,11 @@ SIZE = 4  # numbers in the error of a jet: range, two of direction, curvature
 _STEP = 1e-5
 
 
+def cross(v: Floats) -> Floats:
+    """The matrix (3, 3) of a cross product from the left."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Jet:
     """A surface as seen from one place; its error has four numbers: range, direction along `across`, curvature."""
@@ -37,7 +42,7 @@ class Jet:
         first = np.array([-self.unit[1], self.unit[0], 0.0])
         size = np.linalg.norm(first)
         first = first / size if size > 1e-3 else np.array([0.0, 1.0, 0.0])
-        return np.stack([first, np.cross(self.unit, first)])
+        return np.stack([first, cross(self.unit) @ first])
 
     def seen_from(self, place: Floats) -> tuple[float, Floats, Floats]:
         """Range at a place (3) [m], its gradient by the place (3), and by the error of the jet (4)."""
@@ -78,6 +83,6 @@ class Jet:
         """How the error (4) follows from a shift (3) of all the world, and from its turn about the vertical (1)."""
         flat, k = LEVEL * self.unit, self.curvature
         shift = np.vstack([self.unit, self.across @ (k * (np.diag(LEVEL) - np.outer(flat, flat))), -k * k * flat])
-        turn = shift @ np.cross(UP, self.anchor)
-        turn[1:3] += self.across @ np.cross(UP, self.unit)
+        turn = shift @ cross(UP) @ self.anchor
+        turn[1:3] += self.across @ cross(UP) @ self.unit
         return np.column_stack([shift, turn])
