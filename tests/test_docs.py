@@ -14,6 +14,7 @@ import pytest
 import yaml
 from pydantic import BaseModel
 
+import pictures
 import ullage as ul
 from code_map import BOXES
 from reference_pages import references_page, scenario_page
@@ -245,7 +246,7 @@ def test_a_tutorial_runs_and_leaves_its_picture(page: Path, tmp_path: Path) -> N
     assert (tmp_path / f"{page.stem}.png").stat().st_size > 5_000
 
 
-RUN_ELSEWHERE = {"datasets.md", "index.md", "viewer.md"}
+RUN_ELSEWHERE = {"datasets.md", "gallery.md", "index.md", "viewer.md"}
 """Code that another test runs, or that needs rerun."""
 WITH_CODE = [
     page for page in sorted(DOCS.glob("*.md"))
@@ -343,3 +344,38 @@ def test_a_page_s_table_is_that_of_the_reproduction(page: str, chapter: str) -> 
     table = numbers((DOCS / page).read_text())
     assert len(table) >= 4
     assert not [n for row in table for n in row if float(n) not in there]
+
+
+def test_a_picture_is_stale_once_the_code_that_drew_it_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawings = {name: one for one in pictures.drawings() for name in one.pictures}
+    assert len(drawings) > 30
+    by_plots, by_itself = drawings["made/wire.png"], drawings["made/turned.png"]
+    before = pictures.digest(by_plots), pictures.digest(by_itself)
+    for folder in ("src/ullage/view", "examples/gallery"):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
+    monkeypatch.setattr(pictures, "ROOT", tmp_path)
+    assert (pictures.digest(by_plots), pictures.digest(by_itself)) == before
+    with (tmp_path / "src/ullage/view/figures.py").open("a") as file:  # plots.py imports it
+        file.write("# changed\n")
+    assert pictures.digest(by_plots) != before[0]
+    assert pictures.digest(by_itself) == before[1]
+
+
+def test_no_picture_is_older_than_the_code_that_draws_it() -> None:
+    assert pictures.stale() == [], "`make pictures` draws them again: look at each"
+
+
+def test_the_gallery_shows_twelve_pictures_each_with_its_lines() -> None:
+    page = (DOCS / "gallery.md").read_text(encoding="utf-8")
+    drawn = {name: one for one in pictures.drawings() for name in one.pictures}
+    parts = page.split("\n## ")[1:]
+    assert len(parts) == 12
+    for part in parts:
+        name = re.findall(r"!\[[^\]]+\]\(pictures/([\w/.]+)\)", part)[0]
+        if script := re.findall(r'^--8<-- "(.*)"$', part, re.M):
+            assert [ROOT / one for one in script] == [drawn[name].script]
+        elif name != "explore.png":  # not drawn by `make pictures` yet
+            shown = re.findall(r"^(?:python -m )?(ullage.*)$", part, re.M)
+            assert shown == [" ".join(words) for words in drawn[name].commands]

@@ -45,3 +45,19 @@ def test_an_example_is_short_and_checks_itself(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert text.count("\n") <= 61
     assert "SystemExit(" in text or path.stem == "receiver_beside_recording"
+
+
+GALLERY = [
+    pytest.param(p, marks=pytest.mark.slow if p.stem == "two_maps" else (), id=p.stem)
+    for p in sorted((ROOT / "examples" / "gallery").glob("*.py"))
+]
+
+
+@pytest.mark.parametrize("path", GALLERY)
+def test_a_script_of_the_gallery_leaves_its_picture(
+    path: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(path), run_name="__main__")
+    assert (tmp_path / f"{path.stem}.png").stat().st_size > 5_000
+    assert path.read_text(encoding="utf-8").count("\n") <= 15

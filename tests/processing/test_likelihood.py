@@ -5,11 +5,14 @@ from dataclasses import replace
 import mirror_world as world
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
 from ullage.grids import UNKNOWN
 from ullage.kernels.matched_sums import Aperture
+from ullage.processing.likelihood.cells import _percentiles
 from ullage.processing.likelihood.direction_sums import DirectionSums
 from ullage.processing.likelihood.echoes import gains_of
 from ullage.processing.likelihood.mapper import LikelihoodMapper
@@ -623,3 +626,13 @@ def test_a_flight_that_hovers_while_all_radars_pause_goes_on(pauses: int) -> Non
                          np.tile([0.0, 0, 0, 1], (len(x), 1)))  # fmt: skip
     frames = ul.simulate(ul.scenes.room(size_m=(6, 4, 3)), path, ul.Rig.preset("thesis-4"), fidelity="thesis")
     assert mapped(frames).map().free.any()
+
+
+@given(
+    values=st.lists(st.tuples(st.integers(0, 4), st.floats(0, 1)), min_size=1, max_size=40), percent=st.floats(1, 99)
+)
+def test_percentiles_of_groups_are_those_of_numpy(values: list[tuple[int, float]], percent: float) -> None:
+    _, group = np.unique([name for name, _ in values], return_inverse=True)
+    levels = np.array([level for _, level in values])
+    one_by_one = [np.percentile(levels[group == name], percent) for name in range(group.max() + 1)]
+    assert _percentiles(levels, group, percent).tolist() == one_by_one

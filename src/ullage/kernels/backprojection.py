@@ -62,6 +62,28 @@ class _Aimed(NamedTuple):
     weight: NDArray[np.float32]  # of the pattern
 
 
+@inner(error_model="numpy")
+def _seen(gx: float, step: float, flat: float, reach: float, count: int) -> tuple[int, int]:
+    """Return the first cell of a row that may lie within a range of the sensor [m], and the one after the last."""
+    left = reach * reach - flat
+    if left < 0:
+        return 0, 0
+    half = np.sqrt(left)
+    begin, end = (-half - gx) / step - 1, (half - gx) / step + 2  # a cell more at both ends: the range is rounded
+    return int(min(max(begin, 0), count)), int(min(max(end, 0), count))
+
+
+@inner(error_model="numpy")
+def _ahead(gx: float, step: float, ax: float, a0: float, begin: int, end: int) -> tuple[int, int]:
+    """Narrow cells to those that may lie ahead of the antenna, where ax x + a0 > 0."""
+    if abs(ax) < 1e-6:
+        return begin, end
+    at = min(max((-a0 / ax - gx) / step, -1.0), end + 1.0)
+    if ax > 0:
+        return max(begin, int(at) - 1), end
+    return begin, min(end, int(at) + 2)
+
+
 @inner(fastmath=True, error_model="numpy")
 def _aim(
     offset: tuple[float, float, float],
@@ -71,8 +93,10 @@ def _aim(
     pattern: Pattern,
     last: float,
     aimed: _Aimed,
-) -> None:
+) -> tuple[int, int]:
     """Find where each cell of a row lies in a frame's profile, its phase and its weight in the beam.
+
+    Cells out of range or behind the antenna, most cells of a large image, are left out.
 
     Args:
         offset: (3) first cell of the row from the sensor [m]; x is a float32.
@@ -81,6 +105,9 @@ def _aim(
         profiles, pattern: as in `backproject_rows`.
         last: greatest place in a profile [samples].
         aimed: gets the results.
+
+    Returns:
+        The first cell with results, and the one after the last.
     """
     gx, gy, gz = offset
     place, near, cos, sin, weight = aimed
@@ -93,7 +120,10 @@ def _aim(
     per_m, first, turns = profiles.per_m, profiles.first, profiles.cycles_per_m
     iy, iz, least = pattern.inv_y2, pattern.inv_z2, pattern.least
     everywhere = iy == zero and iz == zero
-    for i in range(len(place)):
+    begin, end = _seen(gx, step, flat, (last + first) / per_m, len(place))
+    if not everywhere:
+        begin, end = _ahead(gx, step, ax, a0, begin, end)
+    for i in range(begin, end):
         x = gx + np.float32(i) * step
         d2 = x * x + flat
         r = np.sqrt(d2)
@@ -116,6 +146,7 @@ def _aim(
         sin[i] = t * (_S1 + t2 * (_S3 + t2 * (_S5 + t2 * (_S7 + t2 * _S9))))
         cos[i] = _C0 + t2 * (_C2 + t2 * (_C4 + t2 * (_C6 + t2 * _C8)))
         weight[i] = w
+    return begin, end
 
 
 @loop(fastmath=True, error_model="numpy")
@@ -138,9 +169,9 @@ def backproject_rows(rows: Rows, profiles: Profiles, track: Track, pattern: Patt
         for n in range(len(weight)):
             gx = np.float32(rows.x0 - position[n, 0])
             offset = gx, rows.y[k] - position[n, 1], rows.z[k] - position[n, 2]
-            _aim(offset, step, track.rotation[n], profiles, pattern, last, aimed)
+            begin, end = _aim(offset, step, track.rotation[n], profiles, pattern, last, aimed)
             row_re, row_im = profiles.real[n], profiles.imag[n]
-            for i in range(nx):
+            for i in range(begin, end):
                 w = aimed.weight[i] * weight[n]
                 if w > np.float32(0.0):
                     j, f = aimed.place[i], near[i]

@@ -229,13 +229,25 @@ def _clearance(views: Views, owner: Longs) -> Floats:
     """
     flatness = np.abs(1 - views.state[:, 2] * views.state[:, 0])
     level = views.level / np.sqrt(np.maximum(flatness, LEAST_FLATNESS))
-    full = np.array([np.percentile(level[owner == one], FULL_PERCENT) for one in range(owner.max() + 1)])
+    full = _percentiles(level, owner, FULL_PERCENT)
     apart = np.column_stack([views.position, owner * 1e4])
-    near = cKDTree(apart).query_ball_point(apart, FULL_REACH_M)
-    local = np.array([np.percentile(level[one], FULL_PERCENT) for one in near])
+    near = cKDTree(apart).query_ball_point(apart, FULL_REACH_M, return_sorted=False)
+    echo = np.repeat(np.arange(len(near)), [len(one) for one in near])
+    local = _percentiles(level[np.fromiter(chain.from_iterable(near), np.int64, len(echo))], echo, FULL_PERCENT)
     share = np.minimum(level / np.maximum(local, LEAST_FULL * full[owner]), 1.0)
     known = (share >= CLEAR) & (level >= FAINT * np.percentile(level, FAINT_PERCENT))
     return np.where(known, 2 * np.sqrt(share) - 1, 0.0)
+
+
+def _percentiles(values: Floats, group: Longs, percent: float) -> Floats:
+    """Percentile of the values of each group 0 to g-1, interpolated as by `np.percentile` (g); no group is empty."""
+    ordered = values[np.lexsort((values, group))]
+    size = np.bincount(group)
+    place = (size - 1) * (percent / 100)
+    below = place.astype(np.int64)
+    share, first = place - below, np.cumsum(size) - size + below
+    low, high = ordered[first], ordered[first + (share > 0)]
+    return np.where(share < 0.5, low + (high - low) * share, high - (high - low) * (1 - share))
 
 
 def _flown_through(views: Views, owner: Longs, flown: Floats) -> Bools:
