@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -231,7 +231,7 @@ def _clearance(views: Views, owner: Longs) -> Floats:
     level = views.level / np.sqrt(np.maximum(flatness, LEAST_FLATNESS))
     full = _percentiles(level, owner, FULL_PERCENT)
     apart = np.column_stack([views.position, owner * 1e4])
-    near = cKDTree(apart).query_ball_point(apart, FULL_REACH_M, return_sorted=False)
+    near: Any = cKDTree(apart).query_ball_point(apart, FULL_REACH_M, return_sorted=False)
     echo = np.repeat(np.arange(len(near)), [len(one) for one in near])
     local = _percentiles(level[np.fromiter(chain.from_iterable(near), np.int64, len(echo))], echo, FULL_PERCENT)
     share = np.minimum(level / np.maximum(local, LEAST_FULL * full[owner]), 1.0)
@@ -247,7 +247,7 @@ def _percentiles(values: Floats, group: Longs, percent: float) -> Floats:
     below = place.astype(np.int64)
     share, first = place - below, np.cumsum(size) - size + below
     low, high = ordered[first], ordered[first + (share > 0)]
-    return np.where(share < 0.5, low + (high - low) * share, high - (high - low) * (1 - share))
+    return np.asarray(np.where(share < 0.5, low + (high - low) * share, high - (high - low) * (1 - share)))
 
 
 def _flown_through(views: Views, owner: Longs, flown: Floats) -> Bools:
