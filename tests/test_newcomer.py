@@ -1,9 +1,11 @@
-"""Ten tasks of a newcomer, each as the documentation tells it: public names and the command line only."""
+"""Tasks of a newcomer, each as the documentation tells it: public names and the command line only.
+
+The one with live ROS 2 stands in `ports/ros2/test_first_frames.py`.
+"""
 
 from __future__ import annotations
 
 import csv
-import os
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -16,7 +18,6 @@ import pytest
 
 import ullage as ul
 
-ROOT = Path(__file__).parents[1]
 SHORT = """title: A short flight
 world: {file: plate.stl}
 flight: {vehicle: ideal, waypoints: [[0, -0.2, 0, 0], [0, 0.2, 0, 0]], speed_m_s: 0.5}
@@ -164,31 +165,3 @@ def test_a_sweep(folder: Path) -> None:  # sweeps.md
     rows = list(csv.DictReader((folder / "sweep" / "sweep.csv").open()))
     assert [row["map.step_m"] for row in rows] == ["0.1", "0.2"]
     assert not any(row.get("failed") for row in rows)
-
-
-HEAR = """import ullage as ul
-for chunk in ul.open("ros2:/newcomer?duration_s=60").stream():
-    print(len(chunk["radar"].range_m), flush=True)
-    break"""
-SAY = """import ullage as ul
-path = ul.Trajectory.line((0, 0, 0), (1, 0, 0), speed_m_s=0.5, rate_hz=17)
-frames = ul.simulate(ul.scenes.plate(1.0, 1.0, distance_m=2.0), path, ul.RadarSpec.preset("x4m05"))
-with ul.sink("ros2:/newcomer?listeners=1") as sink:
-    sink.write(frames)"""
-
-
-@pytest.mark.ros2
-def test_live_ros_2(tmp_path: Path) -> None:  # ros2.md
-    python = Path(os.environ.get("ULLAGE_ROS2_PYTHON") or ROOT / ".venv-ros2/bin/python")
-    if not python.exists():
-        pytest.skip("no Python with rclpy: `make ros2` installs one")
-    alone = {"PYTHONPATH": str(ROOT / "src"), "ROS_DOMAIN_ID": str(os.getpid() % 100), "PYTHONUNBUFFERED": "1",
-             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}  # fmt: skip
-    given: dict[str, Any] = {"cwd": tmp_path, "env": os.environ | alone, "text": True}
-    with subprocess.Popen([python, "-c", HEAR], stdout=subprocess.PIPE, **given) as hearing:
-        try:
-            subprocess.run([python, "-c", SAY], check=True, timeout=60, **given)
-            heard, _ = hearing.communicate(timeout=60)
-        finally:
-            hearing.kill()
-    assert heard.split() == [str(len(ul.RadarSpec.preset("x4m05").range_m))]
