@@ -165,7 +165,25 @@ def test_a_far_field_of_cst_lies_along_its_axes(tmp_path):
         assert gain(antenna, unit)[0] ** 2 == pytest.approx(POWER + 1, rel=0.01)
 
 
-@pytest.mark.parametrize("text", ["", "// CST Farfield Source File\n3.0\nFarfield\n1\n0 0 0", "3.0\nFarfield\nnan nan"])
+def damaged(*, count="1", z="1", field="1", step=30):
+    """The text of a far field that is whole by default."""
+    cuts = [f"{phi} {theta} {field} 0 0 0" for phi in range(0, 360, 30) for theta in range(0, 181, step)]
+    return "\n".join(
+        ["3.0", "Farfield", count, "0 0 0", f"0 0 {z}", "1 0 0", "1 1 1 7e9", f"12 {180 // step + 1}", *cuts]
+    )
+
+
+def test_an_even_far_field_has_no_gain(tmp_path):
+    path = tmp_path / "even.ffs"
+    path.write_text(damaged())
+    assert gain(ul.AntennaSpec(kind="table", file=str(path)), (0, 1, 0))[0] == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "3.0\nFarfield\n1\n0 0 0", "3.0\nFarfield\nnan nan", damaged(count="inf"), damaged(z="0"), damaged(field="0"),
+     damaged(step=90)],
+)  # fmt: skip
 def test_a_broken_far_field_is_refused(tmp_path, text):
     path = tmp_path / "b.ffs"
     path.write_text(text)

@@ -6,6 +6,7 @@ The one with live ROS 2 stands in `ports/ros2/test_first_frames.py`.
 from __future__ import annotations
 
 import csv
+import runpy
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -95,15 +96,11 @@ def test_a_radar_of_my_own() -> None:  # howto_radar.md
     assert found["ahead"].amplitude[:, behind].max() > 5 * found["left"].amplitude[:, behind].max()
 
 
-def test_profiles_of_numpy() -> None:  # recordings.md, gallery.md
-    range_m, times_s = 0.05 * np.arange(120), 0.05 * np.arange(100)
-    positions_m = np.c_[np.linspace(-1, 1, 100), np.zeros(100), np.ones(100)]
-    profiles = 0.01 * np.abs(np.random.default_rng(0).standard_normal((100, 120)))
-    profiles[:, 60] += 1.0  # a wall at 3 m
-    mine = ul.Frames.from_arrays(profiles, range_m, times_s, positions_m, (0, 0, 0.5**0.5, 0.5**0.5))
-    omap = ul.map_occupancy(mine, ul.Grid.covering([[-2, -1, 0], [2, 4, 2]], step_m=0.1))
+def test_profiles_of_numpy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:  # recordings.md, gallery.md
+    monkeypatch.chdir(tmp_path)
+    omap = runpy.run_path(str(Path(__file__).parents[1] / "examples/gallery/arrays.py"))["omap"]
     rows, _ = np.nonzero(omap.occupied)
-    assert np.median(omap.grid.y_m[rows]) == pytest.approx(3.0, abs=0.1)
+    assert np.median(omap.grid.y_m[rows]) == pytest.approx(3.0, abs=0.1)  # the wall
 
 
 def test_a_recording_of_my_own(frames: ul.Frames, tmp_path: Path) -> None:  # recordings.md

@@ -137,13 +137,17 @@ def _far_field(text: str, path: Path) -> tuple[Floats, Floats, Floats]:
         parts = values[10 + 4 * count :].reshape(count, 2 + 6 * size[0] * size[1])[:, 2:]
         phi, theta, *field = parts[count // 2].reshape(size[0], size[1], 6).transpose(2, 0, 1)
         turns, tilts = phi[:, 0], theta[0]
-        known = np.all(np.diff(turns) > 0) and np.all(np.diff(tilts) > 0) and np.isfinite(parts).all()
-        whole = known and np.ptp(turns) >= 360 - 1.5 * np.diff(turns).max() and np.ptp(tilts) > 179
-    except (IndexError, ValueError):
+        known = np.all(np.diff(turns) > 0) and np.all(np.diff(tilts) > 0) and np.isfinite(values).all()
+        known = known and np.linalg.norm(axes, axis=1).all() and np.any(field)
+        steps = np.diff(turns).max(), np.diff(tilts).max()
+        whole = known and np.ptp(turns) >= 360 - 1.5 * steps[0] and np.ptp(tilts) > 179 and max(steps) <= 30
+    except (IndexError, OverflowError, ValueError):
         whole = False
     if words[1:2] != ["Farfield"] or not whole:
         raise InputError(
-            "not a far field", where=path, allowed="a far-field source of CST, version 3, of the whole sphere"
+            "not a far field",
+            where=path,
+            allowed="a far-field source of CST, version 3, of the whole sphere, each 30 deg or less",
         )
     density = np.sum(np.square(field), axis=0)
     if np.ptp(turns) < 360:  # the first cut again, as the last one

@@ -450,6 +450,25 @@ def test_the_own_echo_in_amplitudes_shows_no_wall():
     assert mapped(frames).surfaces() == []
 
 
+def test_places_that_a_hover_comes_back_to_add_nothing():
+    """A hover goes round a circle of 2 cm: from the second round on, it looks from places that it has looked from."""
+    way = curve(spacing=0.03)
+    circle = np.linspace(0, 2 * np.pi, 24, endpoint=False)[:, None]
+    once = way.position[-1] + 0.02 * np.concatenate([np.cos(circle) - 1, np.sin(circle), 0 * circle], axis=1)
+
+    def hovered(rounds):
+        position = np.concatenate([way.position, *[once] * rounds])
+        t_ns = np.arange(len(position)) * 40_000_000
+        frames = flown(Trajectory(t_ns, position, np.tile([0, 0, 0, 1.0], (len(position), 1))), wall(90, 2.4))
+        return mapped(frames)
+
+    short, long = hovered(1), hovered(20)
+    assert len(short.surfaces()) == len(long.surfaces()) >= 1
+    for one, other in zip(short.surfaces(), long.surfaces(), strict=True):
+        assert (one.log_odds, one.seen) == (other.log_odds, other.seen)
+    assert np.array_equal(short.map().percent, long.map().percent)
+
+
 def test_amplitudes_of_noise_show_nothing():
     mapper = mapped(envelopes(flown(curve(spacing=0.03))))
     assert mapper.surfaces() == []

@@ -23,7 +23,7 @@ from ullage.world.materials import Material
 COSINES = 65
 """Entries of a table over cos(incidence), from 0 to 1."""
 TAPS, SLAB_TAPS = 5, 3
-"""Echoes of layers that are kept apart; those of a slab are its face, its back, and all later ones together."""
+"""Echoes of layers that are kept apart. A slab has its face, its back, and all later ones: each echo costs time."""
 _BROAD = 0.25  # of layers longer than this part of the pulse, there and back, only the nearest echoes bounce
 _FAINT = 10 ** (-50 / 20)  # inner echoes below this are left out
 
@@ -31,10 +31,8 @@ _FAINT = 10 ** (-50 / 20)  # inner echoes below this are left out
 def fresnel(eps: complex, cosine: ArrayLike) -> tuple[Complexes, Complexes]:
     """Compute the reflection of a half-space in air, TE and TM, against cos(incidence); air itself has none."""
     c = np.asarray(cosine, float)
-    inner = np.sqrt(eps - (1 - c * c) + 0j)
-    if eps == 1:
-        return np.zeros_like(inner), np.zeros_like(inner)
-    return (c - inner) / (c + inner), -(eps * c - inner) / (eps * c + inner)
+    te, tm = _interface(1.0, c + 0j, eps, np.sqrt(eps - (1 - c * c) + 0j))
+    return te, tm
 
 
 def slab(
@@ -111,10 +109,10 @@ def _tables(material: Material, center_hz: float, bandwidth_hz: float) -> tuple[
     loudest = max(one.level for one in found)
     found = found[:1] + [one for one in found[1:] if one.level > _FAINT * loudest]
     for tap, one in enumerate(found):
-        gamma[tap] = one.value * np.exp(2j * np.pi * center_hz * one.late)  # a delayed echo turns the carrier by itself
-        lag[tap] = one.late
+        gamma[tap] = one.value * np.exp(2j * np.pi * center_hz * one.delay_s)  # a delay turns the carrier by itself
+        lag[tap] = one.delay_s
     longest = sum(2 * thick * abs(np.sqrt(eps)) / C0 for eps, thick in layers) * bandwidth_hz
-    near = [one for one in found if longest < _BROAD or one.late.max() * bandwidth_hz < _BROAD]
+    near = [one for one in found if longest < _BROAD or one.delay_s.max() * bandwidth_hz < _BROAD]
     bounce = np.asarray(sum(one.value for one in near))[None]
     if material.roughness_m:
         wave = 2 * np.pi * center_hz / C0
@@ -126,8 +124,8 @@ def _tables(material: Material, center_hz: float, bandwidth_hz: float) -> tuple[
 class _Echo(NamedTuple):
     """An echo of plane layers, TE and TM, against cos(incidence)."""
 
-    late: Floats  # (c) its delay over that of the face [s]
-    value: Complexes  # (2, c) with the carrier's turn
+    delay_s: Floats  # (c) after the echo of the face [s]
+    value: Complexes  # (2, c) amplitude, with the carrier's phase at that delay
 
     @property
     def level(self) -> float:
@@ -151,41 +149,40 @@ def _echoes_of(
         c: (c) cosines of the incidence.
         most: echoes that are kept apart. Those that lie nearest, and the faintest, become one.
     """
-    media = [(1.0 + 0j, 0.0), *layers]
-    inner = [c + 0j, *(np.sqrt(eps - (1 - c * c) + 0j) for eps, _ in layers)]
-    k, out = 2 * np.pi * center_hz / C0, list[_Echo]()
-    for n in range(len(layers), -1, -1):
-        if n == len(layers):
-            last = -np.ones((2, len(c))) if behind is None else _interface(
-                media[n][0], inner[n], behind, np.sqrt(behind - (1 - c * c) + 0j))  # fmt: skip
-            out = [_Echo(np.zeros_like(c), np.asarray(last, np.complex128))]
-            continue
-        thick = media[n + 1][1]
-        trip, turn = 2 * thick * inner[n + 1].real / C0, np.exp(-2j * k * thick * inner[n + 1])
-        r = _interface(media[n][0], inner[n], media[n + 1][0], inner[n + 1])
-        inside = [_Echo(one.late + trip, one.value * turn) for one in out]
-        whole = sum(one.value for one in inside)
-        whole = (r + whole) / (1 + r * whole)
-        out, again = [_Echo(np.zeros_like(c), r)], [_Echo(one.late, (1 - r * r) * one.value) for one in inside]
+    eps = [1.0 + 0j, *(one for one, _ in layers)]
+    inner = [c + 0j, *(np.sqrt(one - (1 - c * c) + 0j) for one in eps[1:])]
+    last = np.full((2, len(c)), -1.0 + 0j)
+    if behind is not None:
+        last = _interface(eps[-1], inner[-1], behind, np.sqrt(behind - (1 - c * c) + 0j))
+    k, here, out = 2 * np.pi * center_hz / C0, np.zeros_like(c), [_Echo(np.zeros_like(c), last)]
+    for n in range(len(layers), 0, -1):
+        thickness_m = layers[n - 1][1]
+        trip_s, phase = 2 * thickness_m * inner[n].real / C0, np.exp(-2j * k * thickness_m * inner[n])
+        r = _interface(eps[n - 1], inner[n - 1], eps[n], inner[n])
+        inside = [_Echo(one.delay_s + trip_s, one.value * phase) for one in out]
+        total = sum(one.value for one in inside)
+        total = (r + total) / (1 + r * total)
+        out, bounced = [_Echo(here, r)], [_Echo(one.delay_s, (1 - r * r) * one.value) for one in inside]
         for _ in range(most):
-            out += again
-            again = _apart([_Echo(a.late + b.late, -r * a.value * b.value) for a in again for b in inside], most)
-        out = _apart(out, most)
-        rest = whole - sum(one.value for one in out)  # of all later echoes
-        out[-1] = _Echo(out[-1].late, out[-1].value + rest)
+            out += bounced
+            products = [_Echo(a.delay_s + b.delay_s, -r * a.value * b.value) for a in bounced for b in inside]
+            bounced = _joined(products, most)
+        out = _joined(out, most)
+        rest = total - sum(one.value for one in out)  # of all later echoes
+        out[-1] = _Echo(out[-1].delay_s, out[-1].value + rest)
     return out
 
 
-def _apart(echoes: list[_Echo], most: int) -> list[_Echo]:
-    """Join echoes until few are left: first those whose fainter one has the shortest way to the other."""
-    out = sorted(echoes, key=lambda one: float(one.late[-1]))
+def _joined(echoes: list[_Echo], most: int) -> list[_Echo]:
+    """Join echoes until few are left, first those with the least product of gap and fainter amplitude."""
+    out = sorted(echoes, key=lambda one: float(one.delay_s[-1]))
     while len(out) > most:
-        cost = [(b.late[-1] - a.late[-1]) * min(a.level, b.level) for a, b in pairwise(out)]
+        cost = [(b.delay_s[-1] - a.delay_s[-1]) * min(a.level, b.level) for a, b in pairwise(out)]
         n = int(np.argmin(cost))
         a, b = out[n], out[n + 1]
         first, second = (np.sum(np.abs(one.value) ** 2, axis=0) + 1e-30 for one in (a, b))
-        late = (first * a.late + second * b.late) / (first + second)
-        out[n : n + 2] = [_Echo(late, a.value + b.value)]
+        delay_s = (first * a.delay_s + second * b.delay_s) / (first + second)
+        out[n : n + 2] = [_Echo(delay_s, a.value + b.value)]
     return out
 
 
