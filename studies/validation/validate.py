@@ -73,7 +73,7 @@ def over_band(level: Callable[[float], float]) -> float:
 def spheres() -> Iterator[Row]:
     """Oracle 4: conducting spheres against Mie's series over the pulse's band."""
     distance = 8.0
-    for radius in (0.05, 0.1, 0.3):
+    for radius in (0.01, 0.02, 0.03, 0.05, 0.1, 0.3):
         sphere = scenes.sphere(radius, distance)
 
         def mie(hz: float, radius: float = radius) -> float:

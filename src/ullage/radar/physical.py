@@ -35,6 +35,7 @@ from ullage.radar.context import (
     transmission_to,
     triangles,
 )
+from ullage.radar.creeping import accumulate_creeping
 from ullage.radar.curves import accumulate_curves
 from ullage.radar.cylinder_correction import accumulate_cylinder_corrections
 from ullage.radar.echo_set import EchoSet, centroids, echo_set
@@ -116,6 +117,8 @@ def accumulate(
     if quadrics:
         corrections = accumulate_cylinder_corrections(context, parts, quadrics, antennas, grids)
         out += corrections
+    if not context.plain:
+        out += accumulate_creeping(context, parts, antennas, poses, grids)
     if len(context.lines):
         out += _accumulate_wires(context, parts, antennas, poses, grids)
     if len(context.outlines.edges):
@@ -256,7 +259,7 @@ def path_gain_cw(
         spec: the radar.
         frequency_hz: [Hz].
         max_bounces: 1 to 6.
-        edges: whether conducting edges are corrected; without, the plain integral of physical optics.
+        edges: whether edges and creeping waves are added; without, the plain integral of physical optics.
     """
     context = radar_context(scene, _carrier_only(spec, frequency_hz or spec.center_hz), edges=edges)
     turns, poses = quat_matrix(pose.quat_xyzw), context.world.poses(pose.t_ns)
