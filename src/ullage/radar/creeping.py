@@ -1,9 +1,10 @@
-"""Exact scattering of whole balls, less what physical optics makes of them: creeping waves and the shadow's border.
+"""Exact scattering of whole balls and rods, less what physical optics makes of them: mostly creeping waves.
 
-Physical optics takes the currents of a tangent plane and none in the shadow. On a ball the exact field is Mie's series
+Physical optics takes the currents of a tangent plane, and none in the shadow. On a ball the exact field is Mie's series
 [Balanis2012, ch. 11], and the integral of physical optics over the same ball is known as well. Their difference is
 added as a few impulses, from the near side of the ball to the wave that has crept around it once. It holds at any
-radius: beyond ten wavelengths it is small, below one it is as strong as the echo itself.
+radius: beyond ten wavelengths it is small, below one it is as strong as the echo itself. Along the axes of rods the
+same difference comes from the series of the endless cylinder (`wires.rods`).
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from ullage.radar.pulse import spectrum
 from ullage.radar.reflected_paths import accumulate
 from ullage.radar.reflectors import PULL_M
 from ullage.radar.sphere_echoes import smoothed
+from ullage.radar.wires import Lines
+from ullage.radar.wires import rods as lines_of
 from ullage.specs import RadarSpec
 from ullage.world.materials import Material
 
@@ -140,3 +143,10 @@ def accumulate_creeping(
 
     object_ids = np.array([ball.object_id for ball in rows], np.int32)
     return [EchoSet(object_ids, spots, total, middle - 2 * radii / C0, again)]
+
+
+@lru_cache(maxsize=32)
+def rods(context: RadarContext) -> Lines:
+    """Return the whole cylinders as lines of what physical optics leaves out on them."""
+    walls = [wall for wall in context.world.rods if smoothed(context, wall.object_id)]
+    return lines_of(context.world.scene, walls, context.spec.center_hz, context.bounce[:, 0])

@@ -15,7 +15,7 @@ from ullage.radar.diffraction import sharp_edges
 from ullage.radar.facets import Surfaces, gather, only
 from ullage.radar.movers import Movers
 from ullage.radar.patches import Patches, patches_of
-from ullage.radar.quadrics import Quadric, SmoothSurface, quadrics_of, smooth_surfaces_of, with_caps
+from ullage.radar.quadrics import Quadric, SmoothSurface, quadrics_of, rods_of, smooth_surfaces_of, with_caps
 from ullage.radar.spheres import Sphere, balls_of, spheres_of
 from ullage.world import smoothing
 from ullage.world.raycast import Raycaster
@@ -56,6 +56,11 @@ class Prepared:
         """Spheres and domes at rest."""
         moves = [o.motion is not None for o in self.scene.objects]
         return spheres_of([surface for surface in self._smooth_surfaces if not moves[surface.object_id]], self.still)
+
+    @cached_property
+    def rods(self) -> list[Quadric]:
+        """Whole cylinders of any radius at their initial poses."""
+        return rods_of(self._smooth_surfaces)
 
     @cached_property
     def _balls(self) -> tuple[Sphere, ...]:
