@@ -16,6 +16,7 @@ from mkdocs.structure.pages import Page
 
 import imc_page
 import message_page
+import notebooks
 import ullage as ul
 from formulas import Formulas
 from glossary_links import GlossaryLinks
@@ -60,8 +61,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def pages_of_tables(docs: Path) -> dict[str, str]:
-    """The pages of commands, scenarios, materials, messages and references by file name."""
+    """The pages of tutorials, commands, scenarios, materials, messages and references by file name."""
     return {
+        **{f"tutorials/{book.stem}.md": notebooks.page_of(book) for book in (docs / "tutorials").glob("*.ipynb")},
         "commands.md": commands_page(),
         "scenarios.md": scenario_page(),
         "materials.md": materials_page(),
@@ -72,10 +74,12 @@ def pages_of_tables(docs: Path) -> dict[str, str]:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Link sources such as [Keller1962] and terms of the glossary; mkdocs calls this for every page."""
+    """Link sources such as [Keller1962], glossary terms and pages of notebooks; mkdocs calls this for every page."""
     for extension in config.markdown_extensions:
         if isinstance(extension, GlossaryLinks):
-            extension.page = "" if page.file.generated_by or page.file.src_uri == "references.md" else page.file.src_uri
+            by_hand = not page.file.generated_by or page.file.src_uri.startswith("tutorials/")
+            extension.page = page.file.src_uri if by_hand else ""
+    markdown = re.sub(r"(\]\([\w./]*)\.ipynb(#[\w-]+)?\)", r"\1.md\2)", markdown)
     bibtex = (Path(config.docs_dir) / "references.bib").read_text(encoding="utf-8")
     return with_sources(markdown, re.findall(r"^@\w+\{([^,\s]+),", bibtex, re.M))
 
