@@ -17,6 +17,7 @@ from pydantic import BaseModel
 
 import notebooks
 import pictures
+import results
 import ullage as ul
 from code_map import BOXES
 from reference_pages import references_page, scenario_page
@@ -367,6 +368,42 @@ def test_a_page_s_table_is_that_of_the_reproduction(page: str, chapter: str) -> 
     table = numbers((DOCS / page).read_text())
     assert len(table) >= 4
     assert not [n for row in table for n in row if float(n) not in there]
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.stem)
+def test_a_table_of_results_is_that_of_its_data(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert results.written(text) == text, "`python tools/results.py` writes it"
+
+
+def test_every_result_is_on_a_page_with_its_commit_and_date() -> None:
+    shown = [name for page in DOCS.glob("*.md") for name, _ in results.BLOCK.findall(page.read_text(encoding="utf-8"))]
+    assert sorted(shown) == sorted(file.stem for file in results.RESULTS.glob("*.csv"))
+    for file in results.RESULTS.glob("*.csv"):
+        assert re.search(r"\n\n\*Commit [0-9a-f]{8}\b.*, \d+ [A-Z][a-z]+ 20\d\d.*\*$", results.table(file)), file.name
+
+
+def test_a_saved_result_is_written_into_its_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "RESULTS", tmp_path)
+    file = results.save("one", [["kind", "F1"], ["a, b", "0.9"]], "make one")
+    page = "Before\n\n<!-- results: one -->\nold\n<!-- end of results -->\nafter"
+    written = results.written(page)
+    assert results.written(written) == written
+    assert "\n\n| kind | F1 |\n|---|---|\n| a, b | 0.9 |\n\n*Commit " in written
+    assert written.endswith(": `make one`*\n\n<!-- end of results -->\nafter")
+    assert "old" not in written
+    file.write_text(file.read_text() + "c\n")
+    with pytest.raises(ValueError, match="2 columns"):
+        results.written(page)
+
+
+PAGES_OF_RESULTS = ["mapping_results", "physics_results", "reproduce", "speed", "motion", "onboard", "validation",
+                    "validation_recordings", "fullwave", "laws"]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PAGES_OF_RESULTS)
+def test_a_page_of_results_is_short(name: str) -> None:
+    assert sum(map(words, sentences(read_page(f"{name}.md")))) < 600
 
 
 def test_a_picture_is_stale_once_the_code_that_drew_it_has_changed(
