@@ -350,6 +350,23 @@ def test_the_first_screen_of_a_page_shows_something(name: str) -> None:
     assert any(line.startswith(("|", "![")) for line in first), "a figure or a table in the first 40 lines"
 
 
+def test_a_page_of_concepts_has_a_picture_in_its_first_screen(pages: ModuleType) -> None:
+    nav = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+    concepts = next(part["Concepts"] for part in nav if "Concepts" in part)
+    names = [name for one in concepts for name in one.values()]
+    made = pages.pages_of_tables(DOCS)
+    first = {name: (made.get(name) or read_page(name)).splitlines()[:15] for name in names}
+    assert len(first) == 16
+    assert [name for name, lines in first.items() if not any(line.startswith("![") for line in lines)] == []
+
+
+def test_options_of_the_api_that_need_a_picture_have_one(pages: ModuleType) -> None:
+    text = "".join(pages.api_pages().values())
+    for name in ("detect", "focus", "map_occupancy"):
+        assert f"::: ullage.{name}\n\n![" in text
+        assert (DOCS / f"pictures/concepts/{name}.png").exists()
+
+
 def test_the_page_of_the_reproduction_is_not_written_without_results(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no experiment here .*a folder of `ullage reproduce`"):
         write_docs(tmp_path, tmp_path)

@@ -33,6 +33,12 @@ GROUPS = {
                    "Guard", "GuardSpec", "odometry", "Odometry", "metrics", "figures"],
     "Files, ports and runs": ["open", "sink", "run", "dataset"],
 }  # fmt: skip
+OPTIONS = {
+    "detect": "What each method finds in one frame",
+    "focus": "Two spheres in images with other options; circles are at their true places",
+    "map_occupancy": "One flight mapped with other options",
+}
+"""Names whose options a picture shows, and what it shows."""
 API = """# Python API
 
 `import ullage as ul` gives these names. They and the names of their arguments are kept from version to version.
@@ -107,8 +113,12 @@ def api_pages() -> dict[str, str]:
         file = f"api/{re.sub(r'[^a-z]+', '_', group.lower())}.md"
         overview += ["", f"## [{group}]({file})", "", "| name | purpose |", "|---|---|"]
         overview += [f"| [`ul.{name}`][ullage.{name}] | {_first_line(getattr(ul, name))} |" for name in names]
-        out[file] = f"# {group}\n" + "".join(f"\n::: ullage.{name}\n" for name in names)
+        out[file] = f"# {group}\n" + "".join(f"\n::: ullage.{name}\n{_picture(name)}" for name in names)
     return {"api.md": "\n".join(overview) + "\n", **out}
+
+
+def _picture(name: str) -> str:
+    return f"\n![{OPTIONS[name]}](../pictures/concepts/{name}.png)\n" if name in OPTIONS else ""
 
 
 def _first_line(thing: object) -> str:

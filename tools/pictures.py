@@ -45,7 +45,7 @@ def drawings() -> list[Drawing]:
     tutorials = [Drawing((f"tutorials/{book.stem}.png",), book) for book in books]
     tools = [
         Drawing(tuple(f"{folder}/{one.name}" for one in (PICTURES / folder).glob("*.png")), ROOT / "tools" / tool)
-        for folder, tool in (("gallery", "gallery.py"), ("worlds", "world_pictures.py"))
+        for folder, tool in (("concepts", "concepts.py"), ("gallery", "gallery.py"), ("worlds", "world_pictures.py"))
     ]
     page, figures = ROOT / "docs" / "gallery.md", "runs/latest/figures/{}.png"
     runs = [
