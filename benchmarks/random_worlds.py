@@ -43,6 +43,7 @@ SCORES = (
     "accuracy_median",
     "accuracy_p90",
 )
+HEADER = {"f1": "F1", "precision": "precision", "surface_declared_free": "surface declared free"}
 COSTS = ("cpu_mean", "cpu_p99")
 KEY = ("kind", "seed", "dims", "bounces", "drift_m", "phase", "method", "short")
 SHORT_M, LEAST_SPACING_M = 14.0, 0.035
@@ -106,7 +107,7 @@ def table(rows: list[dict[str, str]]) -> list[list[str]]:
     kinds = {kind: (kind,) for kind in ul.worlds.KINDS}
     groups = kinds | {"all tuning kinds": ul.worlds.TUNING, "all testing kinds": ul.worlds.TESTING}
     shown = [name for name in TABLE if rows[0].get(name)]
-    out = [["kind", "flights", *("F1" if name == "f1" else name.replace("_", " ") for name in shown)]]
+    out = [["kind", "flights", *(HEADER.get(name, f"`{name}`") for name in shown)]]
     for label, members in groups.items():
         mine = [row for row in rows if row["kind"] in members]
         if mine:
