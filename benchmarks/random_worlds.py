@@ -1,16 +1,20 @@
-"""Maps of random worlds by kind, judged by one evaluator: a row a flight, and a Markdown table at the end.
+"""Maps of random worlds by kind, judged by one evaluator: a row a flight, and a table of means at the end.
 
     python benchmarks/random_worlds.py --kinds tuning --seeds 4 [--bounces 3] [--volume] [--drift 0.2] [--amplitude]
     python benchmarks/random_worlds.py --short --method likelihood
 
 Choose thresholds on the kinds "tuning" only. Run the kinds "testing" when a method stands, to judge it. Rows go to a
 CSV file; rows that it holds already are not made again, so the command goes on where it was stopped.
+`--kinds all` flies both. `--publish NAME` writes the table to `studies/results`, and `python tools/results.py` writes
+it into the pages.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import shlex
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +24,9 @@ import numpy as np
 import ullage as ul
 from ullage.data import Frames
 from ullage.world.scene import Scene
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
+import results
 
 STEP_M = {False: 0.1, True: 0.1}
 SCORES = (
@@ -36,6 +43,7 @@ SCORES = (
     "accuracy_median",
     "accuracy_p90",
 )
+HEADER = {"f1": "F1", "precision": "precision", "surface_declared_free": "surface declared free"}
 COSTS = ("cpu_mean", "cpu_p99")
 KEY = ("kind", "seed", "dims", "bounces", "drift_m", "phase", "method", "short")
 SHORT_M, LEAST_SPACING_M = 14.0, 0.035
@@ -94,19 +102,23 @@ def row_of(kind: str, seed: int, given: argparse.Namespace) -> dict[str, str]:
     return out | {"simulated_s": f"{simulated:.1f}", "whole_s": f"{whole:.1f}"}
 
 
-def table(rows: list[dict[str, str]]) -> str:
-    """Means by kind as Markdown."""
-    lines = ["| kind | flights | " + " | ".join(TABLE) + " |", "|---" * (len(TABLE) + 2) + "|"]
-    for kind in [kind for kind in ul.worlds.KINDS if any(row["kind"] == kind for row in rows)] + ["all"]:
-        mine = [row for row in rows if kind in (row["kind"], "all")]
-        values = [np.mean([float(row[name]) for row in mine]) if mine[0].get(name) else np.nan for name in TABLE]
-        lines.append(f"| {kind} | {len(mine)} | " + " | ".join(f"{value:.3f}" for value in values) + " |")
-    return "\n".join(lines)
+def table(rows: list[dict[str, str]]) -> list[list[str]]:
+    """Means by kind and by group of kinds, below a header."""
+    kinds = {kind: (kind,) for kind in ul.worlds.KINDS}
+    groups = kinds | {"all tuning kinds": ul.worlds.TUNING, "all testing kinds": ul.worlds.TESTING}
+    shown = [name for name in TABLE if rows[0].get(name)]
+    out = [["kind", "flights", *(HEADER.get(name, f"`{name}`") for name in shown)]]
+    for label, members in groups.items():
+        mine = [row for row in rows if row["kind"] in members]
+        if mine:
+            means = [np.mean([float(row[name]) for row in mine]) for name in shown]
+            out.append([label, str(len(mine)), *(f"{value:.3f}" for value in means)])
+    return out
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kinds", default="tuning", help="tuning, testing, or names with commas between them")
+    parser.add_argument("--kinds", default="tuning", help="tuning, testing, all, or names with commas between them")
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--bounces", type=int, default=1)
@@ -117,8 +129,9 @@ def main() -> None:
     parser.add_argument("--short", action="store_true", help="the first 14 m, frames at least 3.5 cm apart")
     parser.add_argument("--cost", action="store_true", help="time each profile too")
     parser.add_argument("--to", type=Path, default=Path("random_worlds.csv"))
+    parser.add_argument("--publish", metavar="NAME", help="write the table of means to studies/results/NAME.csv")
     given = parser.parse_args()
-    groups = {"tuning": ul.worlds.TUNING, "testing": ul.worlds.TESTING}
+    groups = {"tuning": ul.worlds.TUNING, "testing": ul.worlds.TESTING, "all": ul.worlds.KINDS}
     kinds = groups.get(given.kinds, tuple(given.kinds.split(",")))
     fields = (*KEY, *SCORES, *COSTS, "simulated_s", "whole_s")
     known = list(csv.DictReader(given.to.open())) if given.to.exists() else []
@@ -137,7 +150,10 @@ def main() -> None:
                     csv.DictWriter(file, fields).writerow(row)
             rows.append(row)
             print(", ".join(f"{name} {row[name]}" for name in ("kind", "seed", *TABLE) if row.get(name)), flush=True)
-    print("\n" + table(rows))
+    means = table(rows)
+    print("", *(", ".join(row) for row in means), sep="\n")
+    if given.publish:
+        print(results.save(given.publish, means, shlex.join(["python", *sys.argv])))
 
 
 if __name__ == "__main__":

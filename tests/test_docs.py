@@ -6,6 +6,7 @@ import importlib.util
 import json
 import re
 import shutil
+from base64 import b64decode
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,7 +15,9 @@ import pytest
 import yaml
 from pydantic import BaseModel
 
+import notebooks
 import pictures
+import results
 import ullage as ul
 from code_map import BOXES
 from reference_pages import references_page, scenario_page
@@ -215,35 +218,52 @@ def test_the_first_python_block_leaves_a_picture(tmp_path: Path, monkeypatch: py
     assert (tmp_path / "room.png").stat().st_size > 10_000
 
 
-TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
+TUTORIALS = sorted((DOCS / "tutorials").glob("*.ipynb"))
 
 
-@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
-def test_a_tutorial_is_whole(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    blocks = re.findall(r"^```python\n(.*?)^```", text, re.S | re.M)
+def cells_of(book: Path, kind: str) -> list[dict[str, Any]]:
+    return [cell for cell in json.loads(book.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == kind]
+
+
+@pytest.mark.parametrize("book", TUTORIALS, ids=lambda book: book.stem)
+def test_a_tutorial_is_a_notebook_that_has_been_run(book: Path) -> None:
+    cells = cells_of(book, "code")
     assert len(TUTORIALS) == 6
-    assert f'"{page.stem}.png"' in blocks[-1], "the last block makes the picture"
-    assert f"../pictures/tutorials/{page.stem}.png" in text
-    assert (DOCS / "pictures" / "tutorials" / f"{page.stem}.png").stat().st_size < 200_000
+    assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
+    shown = [output for cell in cells for output in cell["outputs"]]
+    assert {output["output_type"] for output in shown} == {"stream", "display_data"}
+    picture = (DOCS / "pictures" / "tutorials" / f"{book.stem}.png").read_bytes()
+    assert [b64decode(one["data"]["image/png"]) for one in shown if "data" in one] == [picture]
+    assert len(picture) < 200_000
+    assert cells[-1]["outputs"][-1] is shown[-1], "the last cell makes the picture"
+    text = "".join("".join(cell["source"]) for cell in cells_of(book, "markdown"))
+    assert f"../pictures/tutorials/{book.stem}.png" in text
+    for link in re.findall(r"\]\(((?!https?:)[^)#]+)", text):
+        assert (book.parent / link).exists(), link
 
 
-@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
-def test_a_tutorial_is_also_a_notebook(page: Path) -> None:
-    book = (ROOT / "notebooks" / f"{page.stem}.ipynb").read_text(encoding="utf-8")
-    assert book == tool("make_notebooks").notebook_of(page), "python tools/make_notebooks.py writes it anew"
-    cells = json.loads(book)["cells"]
-    blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M)
-    assert ["".join(c["source"]) for c in cells if c["cell_type"] == "code"] == [b.strip("\n") for b in blocks]
-    for link in re.findall(r"\]\(((?!https?:)[^)#]+)", "".join(t for c in cells for t in c["source"])):
-        assert (ROOT / "notebooks" / link).exists(), link
+def test_the_page_of_a_notebook_shows_code_and_outputs_in_order(tmp_path: Path) -> None:
+    code = [{"cell_type": "code", "source": ["print(2)\n", "plot()"], "outputs": [
+        {"output_type": "stream", "name": "stdout", "text": ["2\n"]},
+        {"output_type": "display_data", "data": {"image/png": ""}, "metadata": {}},
+    ]}]  # fmt: skip
+    (tmp_path / "one.ipynb").write_text(json.dumps({"cells": [{"cell_type": "markdown", "source": ["# One"]}, *code]}))
+    assert notebooks.page_of(tmp_path / "one.ipynb").startswith(
+        '# One\n\n```python\nprint(2)\nplot()\n```\n\n```text title="output"\n2\n```\n\n'
+        "![What the cell draws](../pictures/tutorials/one.png)\n"
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
-def test_a_tutorial_runs_and_leaves_its_picture(page: Path, tmp_path: Path) -> None:
-    tool("run_tutorials").run_page(page, tmp_path)
-    assert (tmp_path / f"{page.stem}.png").stat().st_size > 5_000
+@pytest.mark.parametrize("book", TUTORIALS, ids=lambda book: book.stem)
+def test_a_tutorial_prints_what_it_says(book: Path, tmp_path: Path) -> None:
+    def text(outputs: list[list[dict[str, Any]]]) -> list[str]:
+        return ["".join(one.get("text", ["a picture"])) for shown in outputs for one in shown]
+
+    outputs = notebooks.run(book, tmp_path)
+    stored = [cell["outputs"] for cell in cells_of(book, "code")]
+    assert text(outputs) == text(stored), f"`python tools/pictures.py tutorials/{book.stem}.png` stores it: read it"
+    assert (tmp_path / f"{book.stem}.png").stat().st_size > 5_000
 
 
 RUN_ELSEWHERE = {"datasets.md", "gallery.md", "index.md", "viewer.md"}
@@ -288,10 +308,14 @@ def test_the_code_of_a_page_runs(page: Path, tmp_path: Path, at_hand: dict[str, 
             pytest.skip(f"needs {name} in ../shared/data")
         (tmp_path / name).symlink_to(found)
     given = {name: at_hand[name] for name in ("ul", "omap", "volume") if page.name == "maps.md"}
-    assert tool("run_tutorials").run_page(page, tmp_path, **given)
+    assert notebooks.run(page, tmp_path, **given)
 
 
-BY_HAND = sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
+BY_HAND = sorted(path.relative_to(DOCS).as_posix() for kind in ("*.md", "*.ipynb") for path in DOCS.rglob(kind))
+
+
+def read_page(name: str) -> str:
+    return notebooks.page_of(DOCS / name) if name.endswith(".ipynb") else (DOCS / name).read_text(encoding="utf-8")
 
 
 def sentences(page: str) -> list[str]:
@@ -315,15 +339,32 @@ def test_sentences_are_counted_as_a_reader_counts_them() -> None:
 
 @pytest.mark.parametrize("name", BY_HAND)
 def test_sentences_are_short(name: str) -> None:
-    found = sentences((DOCS / name).read_text(encoding="utf-8"))
+    found = sentences(read_page(name))
     assert [one for one in found if words(one) > 35] == [], "a sentence of over 35 words"
     assert sum(map(words, found)) < 22 * max(len(found), 1), "words in the mean sentence"
 
 
 @pytest.mark.parametrize("name", BY_HAND)
 def test_the_first_screen_of_a_page_shows_something(name: str) -> None:
-    first = (DOCS / name).read_text(encoding="utf-8").splitlines()[:40]
+    first = read_page(name).splitlines()[:40]
     assert any(line.startswith(("|", "![")) for line in first), "a figure or a table in the first 40 lines"
+
+
+def test_a_page_of_concepts_has_a_picture_in_its_first_screen(pages: ModuleType) -> None:
+    nav = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+    concepts = next(part["Concepts"] for part in nav if "Concepts" in part)
+    names = [name for one in concepts for name in one.values()]
+    made = pages.pages_of_tables(DOCS)
+    first = {name: (made.get(name) or read_page(name)).splitlines()[:15] for name in names}
+    assert len(first) == 16
+    assert [name for name, lines in first.items() if not any(line.startswith("![") for line in lines)] == []
+
+
+def test_options_of_the_api_that_need_a_picture_have_one(pages: ModuleType) -> None:
+    text = "".join(pages.api_pages().values())
+    for name in ("detect", "focus", "map_occupancy"):
+        assert f"::: ullage.{name}\n\n![" in text
+        assert (DOCS / f"pictures/concepts/{name}.png").exists()
 
 
 def test_the_page_of_the_reproduction_is_not_written_without_results(tmp_path: Path) -> None:
@@ -344,6 +385,42 @@ def test_a_page_s_table_is_that_of_the_reproduction(page: str, chapter: str) -> 
     table = numbers((DOCS / page).read_text())
     assert len(table) >= 4
     assert not [n for row in table for n in row if float(n) not in there]
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.stem)
+def test_a_table_of_results_is_that_of_its_data(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert results.written(text) == text, "`python tools/results.py` writes it"
+
+
+def test_every_result_is_on_a_page_with_its_commit_and_date() -> None:
+    shown = [name for page in DOCS.glob("*.md") for name, _ in results.BLOCK.findall(page.read_text(encoding="utf-8"))]
+    assert sorted(shown) == sorted(file.stem for file in results.RESULTS.glob("*.csv"))
+    for file in results.RESULTS.glob("*.csv"):
+        assert re.search(r"\n\n\*Commit [0-9a-f]{8}\b.*, \d+ [A-Z][a-z]+ 20\d\d.*\*$", results.table(file)), file.name
+
+
+def test_a_saved_result_is_written_into_its_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "RESULTS", tmp_path)
+    file = results.save("one", [["kind", "F1"], ["a, b", "0.9"]], "make one")
+    page = "Before\n\n<!-- results: one -->\nold\n<!-- end of results -->\nafter"
+    written = results.written(page)
+    assert results.written(written) == written
+    assert "\n\n| kind | F1 |\n|---|---|\n| a, b | 0.9 |\n\n*Commit " in written
+    assert written.endswith(": `make one`*\n\n<!-- end of results -->\nafter")
+    assert "old" not in written
+    file.write_text(file.read_text() + "c\n")
+    with pytest.raises(ValueError, match="2 columns"):
+        results.written(page)
+
+
+PAGES_OF_RESULTS = ["mapping_results", "physics_results", "reproduce", "speed", "motion", "onboard", "validation",
+                    "validation_recordings", "fullwave", "laws"]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PAGES_OF_RESULTS)
+def test_a_page_of_results_is_short(name: str) -> None:
+    assert sum(map(words, sentences(read_page(f"{name}.md")))) < 600
 
 
 def test_a_picture_is_stale_once_the_code_that_drew_it_has_changed(

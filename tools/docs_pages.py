@@ -16,6 +16,7 @@ from mkdocs.structure.pages import Page
 
 import imc_page
 import message_page
+import notebooks
 import ullage as ul
 from formulas import Formulas
 from glossary_links import GlossaryLinks
@@ -32,6 +33,12 @@ GROUPS = {
                    "Guard", "GuardSpec", "odometry", "Odometry", "metrics", "figures"],
     "Files, ports and runs": ["open", "sink", "run", "dataset"],
 }  # fmt: skip
+OPTIONS = {
+    "detect": "What each method finds in one frame",
+    "focus": "Two spheres in images with other options; circles are at their true places",
+    "map_occupancy": "One flight mapped with other options",
+}
+"""Names whose options a picture shows, and what it shows."""
 API = """# Python API
 
 `import ullage as ul` gives these names. They and the names of their arguments are kept from version to version.
@@ -60,8 +67,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def pages_of_tables(docs: Path) -> dict[str, str]:
-    """The pages of commands, scenarios, materials, messages and references by file name."""
+    """The pages of tutorials, commands, scenarios, materials, messages and references by file name."""
     return {
+        **{f"tutorials/{book.stem}.md": notebooks.page_of(book) for book in (docs / "tutorials").glob("*.ipynb")},
         "commands.md": commands_page(),
         "scenarios.md": scenario_page(),
         "materials.md": materials_page(),
@@ -72,10 +80,12 @@ def pages_of_tables(docs: Path) -> dict[str, str]:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Link sources such as [Keller1962] and terms of the glossary; mkdocs calls this for every page."""
+    """Link sources such as [Keller1962], glossary terms and pages of notebooks; mkdocs calls this for every page."""
     for extension in config.markdown_extensions:
         if isinstance(extension, GlossaryLinks):
-            extension.page = "" if page.file.generated_by or page.file.src_uri == "references.md" else page.file.src_uri
+            by_hand = not page.file.generated_by or page.file.src_uri.startswith("tutorials/")
+            extension.page = page.file.src_uri if by_hand else ""
+    markdown = re.sub(r"(\]\([\w./]*)\.ipynb(#[\w-]+)?\)", r"\1.md\2)", markdown)
     bibtex = (Path(config.docs_dir) / "references.bib").read_text(encoding="utf-8")
     return with_sources(markdown, re.findall(r"^@\w+\{([^,\s]+),", bibtex, re.M))
 
@@ -103,8 +113,12 @@ def api_pages() -> dict[str, str]:
         file = f"api/{re.sub(r'[^a-z]+', '_', group.lower())}.md"
         overview += ["", f"## [{group}]({file})", "", "| name | purpose |", "|---|---|"]
         overview += [f"| [`ul.{name}`][ullage.{name}] | {_first_line(getattr(ul, name))} |" for name in names]
-        out[file] = f"# {group}\n" + "".join(f"\n::: ullage.{name}\n" for name in names)
+        out[file] = f"# {group}\n" + "".join(f"\n::: ullage.{name}\n{_picture(name)}" for name in names)
     return {"api.md": "\n".join(overview) + "\n", **out}
+
+
+def _picture(name: str) -> str:
+    return f"\n![{OPTIONS[name]}](../pictures/concepts/{name}.png)\n" if name in OPTIONS else ""
 
 
 def _first_line(thing: object) -> str:

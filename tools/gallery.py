@@ -47,7 +47,7 @@ def draw_hyperbola(path: Path) -> Path:
             )
             panel.set(xlabel="ahead of the track x [m]", title=image.method, aspect="equal")
         axes[0].set_ylabel("along the track y [m]")
-        axes[0].legend(fontsize=8, loc="upper right")
+        axes[0].legend(fontsize=9, loc="upper left", facecolor="0.2", labelcolor="white")
         figure.colorbar(mesh, ax=list(axes), label="amplitude below the brightest cell [dB]")
     return path
 

@@ -1,7 +1,8 @@
 """Draw the pictures of the documentation that need no recordings: python tools/pictures.py [NAMES].
 
-`docs/pictures/drawn.json` holds a digest of the code that drew each: its script or the Python of its tutorial, and the
-modules of `ullage.view` that this imports. `stale` lists the pictures whose code has changed since.
+`docs/pictures/drawn.json` holds a digest of the code that drew each: its script or the cells of its tutorial, and the
+modules of `ullage.view` that this imports. `stale` lists the pictures whose code has changed since. A tutorial's
+picture and the stored outputs of its notebook are made together.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import ast
 import hashlib
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -18,6 +18,8 @@ import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import notebooks
 
 ROOT = Path(__file__).parents[1]
 PICTURES = ROOT / "docs" / "pictures"
@@ -39,11 +41,11 @@ class Drawing:
 def drawings() -> list[Drawing]:
     """Every drawing of the documentation that needs no recordings."""
     made = [Drawing((f"made/{one.stem}.png",), one) for one in sorted((ROOT / "examples" / "gallery").glob("*.py"))]
-    pages = sorted((ROOT / "docs/tutorials").glob("*.md"))
-    tutorials = [Drawing((f"tutorials/{page.stem}.png",), page) for page in pages]
+    books = sorted((ROOT / "docs/tutorials").glob("*.ipynb"))
+    tutorials = [Drawing((f"tutorials/{book.stem}.png",), book) for book in books]
     tools = [
         Drawing(tuple(f"{folder}/{one.name}" for one in (PICTURES / folder).glob("*.png")), ROOT / "tools" / tool)
-        for folder, tool in (("gallery", "gallery.py"), ("worlds", "world_pictures.py"))
+        for folder, tool in (("concepts", "concepts.py"), ("gallery", "gallery.py"), ("worlds", "world_pictures.py"))
     ]
     page, figures = ROOT / "docs" / "gallery.md", "runs/latest/figures/{}.png"
     runs = [
@@ -59,8 +61,8 @@ def drawings() -> list[Drawing]:
 def digest(drawing: Drawing) -> str:
     """Return the digest of a drawing's own code and of the modules of `ullage.view` behind it."""
     text = "" if drawing.commands else drawing.script.read_text(encoding="utf-8")
-    if drawing.script.suffix == ".md":
-        text = "".join(re.findall(r"^```python\n(.*?)^```", text, re.S | re.M))
+    if drawing.script.suffix == ".ipynb":
+        text = "\n".join(code for _, code in notebooks.blocks(drawing.script))
     start = [*drawing.modules, *_imported(text), *([PLOTS] if ".plot(" in text or "figures." in text else [])]
     code = hashlib.sha256(repr(drawing.commands).encode() + text.encode())
     for module in sorted(_with_imports(start)):
@@ -101,7 +103,7 @@ def stale() -> list[str]:
 def draw(drawing: Drawing) -> None:
     """Run the code of a drawing in an empty folder and take over the pictures that it leaves."""
     search = {"PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT / 'tools'}", "MPLBACKEND": "agg"}
-    script = ("run_tutorials.py", drawing.script.stem) if drawing.script.suffix == ".md" else (drawing.script.name,)
+    script = ("notebooks.py", drawing.script.stem) if drawing.script.suffix == ".ipynb" else (drawing.script.name,)
     bare = drawing.script.parent if drawing.script.suffix == ".py" else ROOT / "tools"
     words = [["-m", *one] for one in drawing.commands] or [[str(bare / script[0]), *script[1:]]]
     with tempfile.TemporaryDirectory() as place:

@@ -84,6 +84,8 @@ The material of a surface decides how much it reflects and how much it lets thro
 their sources. Permittivity is `eps' = a f^b`, conductivity `sigma = c f^d` [S/m], f in GHz
 ([ITU-R-P2040]); water and tissue have relaxation models. A carrier outside a material's range is refused.
 
+![Power that a sheet of each material returns and lets through](pictures/concepts/materials.png)
+
 - **Names** go by any letter case, with `_` for `-`, and with or without `itu_` in front: `itu_concrete` is `concrete`.
 - **Thickness** is that of the slab that every face of the material stands for; *thick* means that nothing comes out at
   the back. Within a slab all inner reflections count; when the slab is long against the pulse, its echoes are separate.

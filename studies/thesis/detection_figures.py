@@ -129,7 +129,7 @@ def draw_images(
     for axes in panels[: len(images)]:
         axes.set_xlabel("ahead of the track x [m]", fontsize=8)
     panels[0].set_ylabel("along the track y [m]", fontsize=8)
-    panels[0].legend(fontsize=7, loc="upper left")
+    panels[0].legend(fontsize=7, loc="upper left", facecolor="0.2", labelcolor="white")
     figure.colorbar(
         mesh, ax=list(panels[: len(images)]), label="amplitude under the brightest 0.2 % of cells [dB]", shrink=0.8
     )

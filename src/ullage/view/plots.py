@@ -215,7 +215,7 @@ def html(thing: Any) -> str:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.0, 4.5), layout="constrained")
+    figure = Figure(figsize=(7.0, 4.5), layout="compressed")
     FigureCanvasAgg(figure)
     _PLOTS[type(thing)](thing, figure.subplots())
     out = io.BytesIO()
@@ -228,7 +228,7 @@ def _axes(ax: Any) -> Axes:
     """Return the given axes, or those of a new figure."""
     if ax is not None:
         return ax  # type: ignore[no-any-return]
-    axes: Axes = need("matplotlib.pyplot").subplots(figsize=(7.0, 4.5), layout="constrained")[1]
+    axes: Axes = need("matplotlib.pyplot").subplots(figsize=(7.0, 4.5), layout="compressed")[1]
     return axes
 
 
@@ -238,7 +238,7 @@ def _bar(axes: Axes, mesh: Any, label: str) -> None:
 
 def _legend(axes: Axes) -> None:
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=8, loc="upper right")
+        axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
 
 
 def _walls(scene: Scene | None, z_m: Any, path: Trajectory | None) -> Any:
