@@ -1,7 +1,7 @@
-"""Do the percents of maps come true? A row for each kind of world and range of percent, and a reliability diagram.
+"""Do the percents of maps come true? A table by kind of world, and a reliability diagram.
 
-    python benchmarks/reliability.py [--seeds 2] [--volume] --to studies/results/reliability_plane.csv
-    python benchmarks/reliability.py --draw docs/pictures/reliability.png studies/results/reliability_*.csv
+    python benchmarks/reliability.py --seeds 3 --to rows.csv [--publish reliability]
+    python benchmarks/reliability.py --draw docs/pictures/reliability.png rows.csv
 
 The numbers behind the percents were fitted to the kinds "tuning"; the kinds "testing" judge them. Flights are those of
 `random_worlds.py --short`.
@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import argparse
 import csv
+import shlex
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,11 @@ from random_worlds import flown, grid_of
 
 import ullage as ul
 
+sys.path.append(str(Path(__file__).parents[1] / "tools"))
+import results
+
+LEAST_CELLS = 50
+"""Of a mark in the diagram."""
 FIELDS = ("group", "kind", "percent_from", "percent_to", "cells", "said", "held")
 
 
@@ -39,27 +46,42 @@ def rows_of(kind: str, given: argparse.Namespace) -> list[dict[str, object]]:
     return out
 
 
-def draw(files: list[Path], picture: Path) -> None:
-    """Draw what was said against what held, a line for each kind of world."""
+def table(rows: list[dict[str, str]]) -> list[list[str]]:
+    """What maps say and what holds, by kind: of the free cells, and of the occupied ones."""
+    out = [["kind", "cells of at most 1 %", "of these solid", "cells of 65 % and more", "said", "solid"]]
+    for kind in dict.fromkeys(row["kind"] for row in rows):
+        line = [kind]
+        for wanted in (lambda row: row["percent_to"] == "1", lambda row: int(row["percent_from"]) >= 65):
+            mine = [row for row in rows if row["kind"] == kind and wanted(row)]
+            cells = [int(row["cells"]) for row in mine]
+            said, held = (np.average([float(row[name]) for row in mine], weights=cells) for name in ("said", "held"))
+            line += [
+                str(sum(cells)),
+                *([f"{said:.3f}"] if len(line) > 1 else []),
+                f"{held:.{4 if len(line) < 2 else 3}f}",
+            ]
+        out.append(line)
+    return out
+
+
+def draw(rows: list[dict[str, str]], picture: Path) -> None:
+    """Draw what was said of occupied cells against what held, a line for each kind of world."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, len(files), figsize=(5.2 * len(files), 4.6), squeeze=False, layout="constrained")
-    for ax, file in zip(axes[0], files, strict=True):
-        rows = list(csv.DictReader(file.open()))
+    figure, axes = plt.subplots(1, 2, figsize=(9.6, 4.8), sharey=True, layout="constrained")
+    for ax, group in zip(axes, ("tuning", "testing"), strict=True):
         ax.plot([0, 100], [0, 100], color="0.6", lw=1)
-        for kind in dict.fromkeys(row["kind"] for row in rows):
-            mine = [
-                row for row in rows if row["kind"] == kind and int(row["percent_from"]) >= 0 and int(row["cells"]) >= 50
-            ]
+        for kind in dict.fromkeys(row["kind"] for row in rows if row["group"] == group):
+            mine = [row for row in rows if row["kind"] == kind and int(row["percent_from"]) >= 0]
+            mine = [row for row in mine if int(row["cells"]) >= LEAST_CELLS]
             said, held = (100 * np.array([float(row[name]) for row in mine]) for name in ("said", "held"))
-            style = "-o" if mine and mine[0]["group"] == "testing" else ":s"
-            ax.plot(said, held, style, ms=4, lw=1.2, label=f"{kind} ({mine[0]['group']})" if mine else kind)
-        ax.set(xlabel="map says [% occupied]", ylabel="cells that hold surface [%]", xlim=(-2, 102), ylim=(-2, 102))
-        ax.set_title("volume" if "volume" in file.stem else "plane")
-        ax.legend(fontsize=8, loc="upper left")
+            ax.plot(said, held, "-o", ms=5, lw=1.4, label=kind)
+        ax.set(xlabel="map says [% occupied]", title=f"{group} kinds", xlim=(-2, 102), ylim=(-2, 102), aspect="equal")
+        ax.legend(loc="upper left")
+    axes[0].set_ylabel("cells that hold surface [%]")
     figure.savefig(picture, dpi=130)
 
 
@@ -68,19 +90,24 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--volume", action="store_true")
     parser.add_argument("--to", type=Path, default=Path("reliability.csv"))
-    parser.add_argument("--draw", type=Path, help="draw the files that follow, and fly nothing")
-    parser.add_argument("files", type=Path, nargs="*")
+    parser.add_argument("--publish", metavar="NAME", help="write the table to studies/results/NAME.csv")
+    parser.add_argument("--draw", type=Path, help="draw the rows of a file, and fly nothing")
+    parser.add_argument("rows", type=Path, nargs="?", help="written by --to")
     given = parser.parse_args(namespace=argparse.Namespace(short=True, drift=0.0, bounces=1))
     if given.draw:
-        draw(given.files, given.draw)
+        draw(list(csv.DictReader(given.rows.open())), given.draw)
         return
+    made: list[dict[str, str]] = []
     with given.to.open("w") as file:
         writer = csv.DictWriter(file, FIELDS)
         writer.writeheader()
         for kind in (*ul.worlds.TUNING, *ul.worlds.TESTING):
             for row in rows_of(kind, given):
                 writer.writerow(row)
+                made.append({name: str(value) for name, value in row.items()})
                 print(*row.values(), sep=", ", flush=True)
+    if given.publish:
+        print(results.save(given.publish, table(made), shlex.join(["python", *sys.argv])))
 
 
 if __name__ == "__main__":
