@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ullage as ul
+from ullage.grids import MappedSurface
 
 
 @given(st.floats(-50, 50), st.floats(0.1, 30), st.sampled_from([0.05, 0.1, 0.25, 0.5]))
@@ -106,3 +107,35 @@ def test_patching_what_changed_gives_the_later_map(shape):
     assert len(later.changes(None)) >= len(changes)
     with pytest.raises(ul.InputError, match="the earlier map has cells"):
         later.changes(ul.OccupancyMap(ul.Grid((0, 0, 0), 0.1, (3,) * len(shape)), np.zeros((3,) * len(shape), np.int8)))
+
+
+def test_clearance_is_the_distance_to_what_is_not_surely_free() -> None:
+    percent = np.zeros((21, 21), np.int8)
+    percent[:, 10], percent[10, 5] = 80, 20
+    omap = ul.OccupancyMap(ul.Grid((0.0, 0.0, 0.0), 0.1, percent.shape), percent)
+    layer = omap.clearance()
+    assert layer.distance_m[10, 7] == pytest.approx(0.25), "three cells from the wall, less half of its own"
+    assert layer.distance_m[10, 10] == 0
+    assert layer.distance_m[0, 3] == pytest.approx(0.05), "nothing is known off the grid"
+    assert layer.sigma_m[10, 7] == pytest.approx(0.1 / np.sqrt(12))
+    assert layer.sigma_m[0, 3] == 0
+    sure = omap.clearance(chance=0.9)
+    assert sure.distance_m[10, 6] == pytest.approx(0.05)
+    assert (sure.distance_m <= layer.distance_m).all()
+    for chance in (0.4, 1.01, np.nan):
+        with pytest.raises(ul.errors.InputError, match="chance"):
+            omap.clearance(chance=chance)
+
+
+def test_clearance_is_as_uncertain_as_the_nearest_surface() -> None:
+    percent = np.zeros((3, 21), np.int8)
+    percent[:, [3, 17]] = 90
+    walls = tuple(
+        MappedSurface("plane", np.zeros(2), np.array([1.0, 0, 0, 1]), np.diag([sigma**2, 1e-6, 1e-6, 1e-6]), 40.0, 9,
+                      True, np.array([[x, 0.15]]), np.array([[1.0, 0.0]]))
+        for x, sigma in ((0.35, 0.03), (1.75, 0.4))
+    )  # fmt: skip
+    omap = ul.OccupancyMap(ul.Grid((0.0, 0.0, 0.0), 0.1, percent.shape), percent, surfaces=walls)
+    sigma = omap.clearance().sigma_m[1]
+    assert sigma[4] == pytest.approx(np.hypot(0.03, 0.1 / np.sqrt(12)))
+    assert sigma[16] == pytest.approx(np.hypot(0.4, 0.1 / np.sqrt(12)))

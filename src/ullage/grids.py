@@ -438,6 +438,45 @@ class OccupancyMap(Displayed):
         """Memory its cells take [byte]."""
         return self.tiles.nbytes
 
+    def clearance(self, *, chance: float | None = None) -> Clearance:
+        """Measure the distance from each cell to the nearest surface that may be there, for planners.
+
+        A surface may be in every cell that is not free, and off the grid.
+
+        Args:
+            chance: that a cell is free, from which it counts as free, 0.5 to 1; None: every cell held free.
+
+        Raises:
+            InputError: the chance is out of bounds.
+        """
+        from scipy.ndimage import distance_transform_edt
+
+        free = self.free
+        if chance is not None:
+            if not 0.5 <= checks.number("chance", chance, "clearance") <= 1:
+                raise InputError(f"chance is {shown(chance)}", where="clearance", allowed="0.5 to 1")
+            free = (self.percent >= 0) & (self.percent <= 100 * (1 - chance) + 1e-9)
+        cells, near = distance_transform_edt(np.pad(free, 1), return_indices=True)
+        inner = (slice(1, -1),) * self.grid.dims
+        distance = np.maximum(cells[inner] - 0.5, 0.0) * self.grid.step_m
+        sigma = np.pad(self._sigmas(), 1)[tuple(near[(slice(None), *inner)])]
+        return Clearance(self.grid, distance.astype(np.float32), sigma.astype(np.float32))
+
+    def _sigmas(self) -> Floats:
+        """Standard deviation of the place of the surface in each occupied cell, 0 in all others (grid.shape) [m]."""
+        out = np.where(self.occupied, self.grid.step_m / math.sqrt(12), 0.0)
+        shown = [one for one in self.surfaces if one.on_map]
+        cells = np.argwhere(self.occupied)
+        if shown and len(cells):
+            from scipy.spatial import cKDTree
+
+            points = np.concatenate([one.points for one in shown])
+            variance = np.repeat([one.covariance[0, 0] for one in shown], [len(one.points) for one in shown])
+            centres = np.asarray(self.grid.origin_m)[: self.grid.dims] + self.grid.step_m * (cells[:, ::-1] + 0.5)
+            near = np.asarray(cKDTree(points).query(centres)[1])
+            out[tuple(cells.T)] = np.sqrt(out[tuple(cells.T)] ** 2 + variance[near])
+        return out
+
     def plot(
         self, ax: Axes | None = None, *, scene: Any = None, path: Trajectory | None = None, level: int | None = None
     ) -> Axes:
@@ -472,6 +511,19 @@ class OccupancyMap(Displayed):
         else:
             old = before.tiles
         return Changes(self, self.tiles.differing(old))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clearance:
+    """Distance from the centre of each cell to the nearest surface that may be there.
+
+    Its standard deviation is that of the nearest surface as the mapper states it, and of its place in a cell. It is 0
+    where the nearest cell is not occupied but unknown or ambiguous. Errors that all poses share are not in it.
+    """
+
+    grid: Grid
+    distance_m: Singles  # grid.shape; 0 in cells that are not free
+    sigma_m: Singles  # grid.shape
 
 
 @dataclass(frozen=True, slots=True, eq=False)

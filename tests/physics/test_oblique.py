@@ -8,12 +8,6 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 import oblique
-from full_wave import db
-
-import ullage as ul
-from studies.validation.oracles import mie_width
-from ullage.geometry import C0
-from ullage.radar.physical import path_gain_cw
 
 # median error in and off the principal planes by band [dB]; greatest error, as part of the strongest echo [dB]
 BOUNDS = {
@@ -54,16 +48,3 @@ def test_no_jumps_off_the_principal_planes(field):
         _, _, places, axes = oblique.views((theta,), np.arange(-2, 50, 0.25))
         echo = oblique.ours(oblique.moments.plate(size, 1.0), places, axes, 1)[field]
         assert abs(np.diff(echo, 2)).max() < 0.01 * abs(echo).max(), theta
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "bound"), [(1, 2, 7.5), (2, 4, 3.7), (4, 8, 2.4), (8, 20, 1.2), (20, 40, 0.35)]
-)
-def test_sphere_by_size(low, high, bound):
-    """Creeping waves are left out: the limit of docs/physics.md by ka."""
-    radar = ul.RadarSpec.preset("x4m05", noise=None, antenna={"kind": "isotropic"})
-    k, far = 2 * np.pi * oblique.F_HZ / C0, 9.0
-    for ka in np.linspace(low, high, 9):
-        own = path_gain_cw(ul.scenes.sphere(ka / k, far), ul.Trajectory.stationary(), radar, oblique.F_HZ)[0]
-        truth = C0 / oblique.F_HZ * np.sqrt(mie_width(ka / k, oblique.F_HZ)) / (4 * np.pi) ** 1.5
-        assert abs(db(own) - db(truth / (far * (far - ka / k)))) < bound, ka

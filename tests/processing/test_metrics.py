@@ -164,6 +164,18 @@ def test_chances_that_come_true_have_no_calibration_error():
     assert score(wrong)["ece"] > 0.4
 
 
+def test_reliability_counts_what_came_true():
+    percent = perfect()
+    rows = ul.metrics.reliability(OccupancyMap(GRID, percent), ROOM, flight())
+    assert [(row.low, row.high, row.held) for row in rows] == [(0, 1, 0.0), (95, 100, 1.0)]
+    assert sum(row.cells for row in rows) <= (percent >= 0).sum()
+    doubt = np.where(percent == 99, 70, percent).astype(np.int8)
+    doubt[:12] = np.where(doubt[:12] == 1, 70, doubt[:12])  # free cells beside the wall
+    row = ul.metrics.reliability(OccupancyMap(GRID, doubt), ROOM, flight())[1]
+    assert (row.low, row.said) == (65, pytest.approx(0.7))
+    assert 0.1 < row.held < 0.9
+
+
 def test_hover_change_is_the_difference():
     before, after = perfect(), perfect()
     after[30, 40:45] = 90

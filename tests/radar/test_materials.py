@@ -199,3 +199,22 @@ def test_echoes_of_a_slab_add_up_to_its_reflection_at_the_carrier() -> None:
     te, tm, *_ = slab(board.permittivity(spec.center_hz), 0.0125, spec.center_hz, np.linspace(0, 1, gamma.shape[3]))
     assert abs(turned.sum(0) - [te, tm]).max() < 1e-12
     assert abs(bounce[0, 0] - [te, tm]).max() < 1e-12
+
+
+def test_sludge_is_oil_that_takes_up_water():
+    """Small steps by the law of few drops lead to the mixing law that was solved at once [Bruggeman1935]."""
+    oil, water, eps = (material(name).permittivity(7.29e9) for name in ("oil", "water", "oil"))
+    steps, share = 20_000, 0.4
+    for i in range(steps):
+        eps += share / steps / (1 - share * (i + 0.5) / steps) * 3 * eps * (water - eps) / (water + 2 * eps)
+    assert material("sludge").permittivity(7.29e9) == pytest.approx(eps, rel=1e-3)
+    few = material("oil").but(water_share=1e-4).permittivity(7.29e9)
+    assert few - oil == pytest.approx(1e-4 * 3 * oil * (water - oil) / (water + 2 * oil), rel=1e-3)
+
+
+def test_wetter_sludge_reflects_more_and_loses_more():
+    eps = [material("sludge").but(water_share=share).permittivity(7.29e9) for share in np.linspace(0, 0.7, 8)]
+    assert (np.diff(np.real(eps)) > 0).all()
+    assert (np.diff(np.imag(eps)) < 0).all()
+    salty = material("sludge").but(salinity=35.0).permittivity(7.29e9)
+    assert salty.imag < material("sludge").permittivity(7.29e9).imag

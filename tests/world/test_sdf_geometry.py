@@ -181,6 +181,16 @@ def test_thin_rods_become_wires(load):
     assert len(load(collision(rod.format(0.026, 5))).wires) == 0
 
 
+def test_a_liquid_with_waves(load):
+    values = 'water_share="0.25" celsius="30" roughness_m="0.004" correlation_m="0.1"'
+    tag = f"<ullage:material {values}>sludge</ullage:material>"
+    (body,) = load(collision("<box><size>1 1 1</size></box>", more=tag)).objects
+    want = ul.world.materials.material("sludge").but(
+        water_share=0.25, celsius=30.0, roughness_m=0.004, correlation_m=0.1
+    )
+    assert body.material == want
+
+
 def test_names_and_materials(load):
     box = "<box><size>1 1 1</size></box>"
     values = 'thickness_m="0.3" roughness_m="0.002" layers="oil 0.001, wood 0.02"'

@@ -16,7 +16,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import distance_transform_edt
 from scipy.sparse.csgraph import dijkstra
 
 from ullage.arrays import Bools, Floats, Ints, Longs
@@ -38,6 +37,7 @@ APERTURE_M = 0.5  # of track that a view needs at least
 STOP_S = 2.0  # of every flight to a view: start, turn and stop
 SLACK = 1.3  # flown time over that of the straight segments
 RESERVE_S = 4.0  # left at home
+SURELY_FREE = 0.95  # chance from which a cell is flown through: what the guard sees counts besides
 TIGHT = 2.0  # cost of a cell that was flown through with less than the asked clearance: the guard slows flights there
 KEEP = 1.5  # a goal is kept until another one is better by as much
 
@@ -124,9 +124,8 @@ class ViewPlanner:
 
     def at(self, omap: OccupancyMap, place: Floats) -> Situation:
         """Return what the vehicle can reach from here by this map: space free with the asked clearance, or flown."""
-        free = omap.free | self._flown
-        room_m = (distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] - 0.5) * self.grid.step_m
-        wide = (room_m >= self.clearance_m) & ~self._barred
+        held = OccupancyMap(omap.grid, np.where(self._flown, np.int8(0), omap.percent))
+        wide = (held.clearance(chance=SURELY_FREE).distance_m >= self.clearance_m) & ~self._barred
         open_ = wide | self._flown
         here = self._cell(place)
         open_[here] = True

@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -19,7 +20,8 @@ from ullage.processing.metrics_image import image_quality
 from ullage.processing.truth import BORDER, Surface, in_sight, surface_of
 from ullage.world.scene import Scene
 
-__all__ = ["cell_centres", "hover_change", "image_quality", "map_cost", "map_quality", "map_size", "worst_moment"]
+__all__ = ["cell_centres", "hover_change", "image_quality", "map_cost", "map_quality", "map_size", "reliability",
+           "worst_moment"]  # fmt: skip
 
 MATCH_M = 0.15
 BEHIND_M = 0.3
@@ -27,6 +29,7 @@ CORRIDOR_M = 0.5
 SMALL_M = 0.6
 MOST_CELLS = 40_000
 CLIP = 0.01
+RELIABILITY_PERCENT = 0, 2, 36, 50, 65, 75, 85, 95, 101
 BODY_M = 0.3
 """Radius of the space that a flying drone needs [m]."""
 
@@ -182,9 +185,7 @@ def _flyable(judged: _Scored) -> list[Metric]:
 
     The ball about a cell's centre must not touch a cell that is not free, nor what lies off the grid.
     """
-    omap, step = judged.omap, judged.omap.grid.step_m
-    room = distance_transform_edt(np.pad(omap.free, 1))[(slice(1, -1),) * omap.grid.dims] - 0.5
-    offered = room.ravel()[judged.cells] * step > BODY_M
+    offered = judged.omap.clearance().distance_m.ravel()[judged.cells] > BODY_M
     usable = judged.cell_open & (judged.cell_gap > BODY_M)
     return [
         Metric("flyable_found", _share(offered[usable])),
@@ -238,16 +239,55 @@ def _corridor(judged: _Scored) -> list[Metric]:
     ]
 
 
-def _calibration(judged: _Scored) -> list[Metric]:
-    flat = judged.omap.percent.ravel()
-    percent, (before, behind) = flat[judged.cells], _sides(judged.omap.grid, judged.surface)
+def _labelled(judged: _Scored) -> tuple[Longs, Bools]:
+    """Percent (k) of the cells in sight, and whether they hold true surface; cells at its border are left out."""
+    flat, (before, behind) = judged.omap.percent.ravel(), _sides(judged.omap.grid, judged.surface)
     solid = np.zeros(flat.shape, bool)
     solid[np.where(flat[before] >= flat[behind], before, behind)[judged.surface.seen]] = True
     label = solid[judged.cells]
     use = label | (judged.cell_open & (judged.cell_gap > 0.75 * judged.omap.grid.step_m))
-    chance = np.clip(np.where(percent >= 0, percent / 100.0, 0.5), CLIP, 1 - CLIP)[use]
-    label, known = label[use], (percent >= 0)[use]
+    return flat[judged.cells][use].astype(int), label[use]
+
+
+class Reliable(NamedTuple):
+    """Cells whose percent lies in a range, and how many of them hold surface."""
+
+    low: int  # percent, from
+    high: int  # to, both included
+    cells: int
+    said: float  # their mean chance of being occupied
+    held: float  # share that holds true surface
+
+
+def reliability(omap: OccupancyMap, scene: Scene, frames: Recording) -> list[Reliable]:
+    """Compare the percents of a map with the truth, as a reliability diagram does.
+
+    Args:
+        omap: the map.
+        scene: the true world.
+        frames: the input of the map, which gives the cells in sight.
+
+    Returns:
+        Ranges of percent that cells have. Cells in sight count; free ones beside a surface's border do not.
+
+    Raises:
+        InputError: nothing of the scene lies on the grid.
+    """
+    percent, label = _labelled(_judge(omap, scene, frames, 1))
+    out = []
+    for low, high in pairwise(RELIABILITY_PERCENT):
+        mine = (percent >= low) & (percent < high)
+        if mine.any():
+            held = float(label[mine].mean())
+            out.append(Reliable(low, high - 1, int(mine.sum()), float(percent[mine].mean()) / 100, held))
+    return out
+
+
+def _calibration(judged: _Scored) -> list[Metric]:
+    percent, label = _labelled(judged)
+    chance = np.clip(np.where(percent >= 0, percent / 100.0, 0.5), CLIP, 1 - CLIP)
     likelihood = np.where(label, np.log(chance), np.log1p(-chance))
+    known = percent >= 0
     bins = np.minimum((chance * 10).astype(int), 9)[known]
     gap = 0.0
     for k in range(10):
@@ -255,8 +295,8 @@ def _calibration(judged: _Scored) -> list[Metric]:
         if mine.any():
             gap += mine.mean() * abs(chance[known][mine].mean() - label[known][mine].mean())
     return [
-        Metric("log_likelihood", float(likelihood.mean()) if use.any() else np.nan, "nat/cell"),
-        Metric("brier", float(np.mean((chance - label) ** 2)) if use.any() else np.nan),
+        Metric("log_likelihood", float(likelihood.mean()) if len(label) else np.nan, "nat/cell"),
+        Metric("brier", float(np.mean((chance - label) ** 2)) if len(label) else np.nan),
         Metric("ece", float(gap)),
     ]
 

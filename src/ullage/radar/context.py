@@ -91,6 +91,7 @@ class RadarContext:
     shift: int  # grid place of bin 0
     gate: tuple[float, float]  # ranges whose echoes can reach the frame [m]
     seed: int = 0  # of the fine structure of rough surfaces
+    plain: bool = False  # physical optics alone, without edges and creeping waves
     whole_outlines: bool = (
         False  # rims of faces are cut all along, not done by their ends where those are all that counts
     )
@@ -182,6 +183,7 @@ def _bench(world: Prepared, spec: RadarSpec, seed: int, edges: bool) -> RadarCon
         pad,
         (0.0, last),
         seed,
+        not edges,
     )
 
 

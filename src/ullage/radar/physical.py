@@ -35,6 +35,7 @@ from ullage.radar.context import (
     transmission_to,
     triangles,
 )
+from ullage.radar.creeping import accumulate_creeping, rods
 from ullage.radar.curves import accumulate_curves
 from ullage.radar.cylinder_correction import accumulate_cylinder_corrections
 from ullage.radar.echo_set import EchoSet, centroids, echo_set
@@ -46,12 +47,13 @@ from ullage.radar.patch_echoes import accumulate_curved
 from ullage.radar.paths import PathSet, paths_of
 from ullage.radar.planar import accumulate_planar
 from ullage.radar.quadrics import Quadric
+from ullage.radar.reflectors import PULL_M
 from ullage.radar.roughness import accumulate_diffuse_scatterers
 from ullage.radar.sphere_bounces import accumulate_inside
 from ullage.radar.wall_bodies import accumulate_wall_bodies
 from ullage.radar.wall_bounces import accumulate_walls
 from ullage.radar.wire_bounces import accumulate_wire_bounces
-from ullage.radar.wires import placed
+from ullage.radar.wires import Lines, placed
 from ullage.specs import MOST_BOUNCES, RadarSpec
 from ullage.world.scene import Scene
 
@@ -116,8 +118,11 @@ def accumulate(
     if quadrics:
         corrections = accumulate_cylinder_corrections(context, parts, quadrics, antennas, grids)
         out += corrections
-    if len(context.lines):
-        out += _accumulate_wires(context, parts, antennas, poses, grids)
+    if not context.plain:
+        out += accumulate_creeping(context, parts, antennas, poses, grids)
+    for lines in (context.lines,) if context.plain else (context.lines, rods(context)):
+        if len(lines):
+            out += _accumulate_wires(context, lines, parts, antennas, poses, grids)
     if len(context.outlines.edges):
         out += accumulate_edges(context, parts, antennas, poses, grids)
     if context.world.rough:
@@ -200,9 +205,13 @@ def _accumulate_curved_bounces(
 
 
 def _accumulate_wires(
-    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, poses: Floats | None, grids: Complexes
+    context: RadarContext,
+    lines: Lines,
+    parts: list[Surfaces],
+    antennas: AntennaPair,
+    poses: Floats | None,
+    grids: Complexes,
 ) -> list[EchoSet]:
-    lines = context.lines
     starts, ends = placed(lines, poses)
     gate, fresnel = np.array(context.gate), KAPPA * context.spec.wavelength_m
     pieces, owner = grown(2048, (2, 3), lambda out, of: string.cut_wires(
@@ -215,7 +224,16 @@ def _accumulate_wires(
     def put(between: Transmission, sums: EchoSums) -> None:
         string.accumulate_wires(wires, between, radar, context.pulse_grid, sums)
 
+    covers, axes = lines.covers[owner], pieces[:, 1] - pieces[:, 0]
+    if covers.any():  # ask before the mesh, on the radar's side; inside it there is nothing to ask
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        away = antennas.origins.mean(0) - middle
+        away -= np.einsum("ni,ni->n", away, axes)[:, None] * axes
+        level = np.linalg.norm(away, axis=1)
+        middle = middle + ((covers + PULL_M) / np.maximum(level, 1e-9))[:, None] * away
     between = transmission_to(context, parts, antennas, middle)
+    if covers.any():
+        between = between._replace(factor=between.factor * (level > covers))
     return [echo_set(put, between, grids, lines.object_ids[owner], middle)]
 
 
@@ -256,7 +274,7 @@ def path_gain_cw(
         spec: the radar.
         frequency_hz: [Hz].
         max_bounces: 1 to 6.
-        edges: whether conducting edges are corrected; without, the plain integral of physical optics.
+        edges: whether edges and creeping waves are added; without, the plain integral of physical optics.
     """
     context = radar_context(scene, _carrier_only(spec, frequency_hz or spec.center_hz), edges=edges)
     turns, poses = quat_matrix(pose.quat_xyzw), context.world.poses(pose.t_ns)

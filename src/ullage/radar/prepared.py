@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,11 +15,13 @@ from ullage.radar.diffraction import sharp_edges
 from ullage.radar.facets import Surfaces, gather, only
 from ullage.radar.movers import Movers
 from ullage.radar.patches import Patches, patches_of
-from ullage.radar.quadrics import Quadric, SmoothSurface, quadrics_of, smooth_surfaces_of, with_caps
-from ullage.radar.spheres import Sphere, spheres_of
+from ullage.radar.quadrics import Quadric, SmoothSurface, quadrics_of, rods_of, smooth_surfaces_of, with_caps
+from ullage.radar.spheres import Sphere, balls_of, spheres_of
 from ullage.world import smoothing
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
+
+Shape = TypeVar("Shape", Quadric, Sphere)
 
 
 class Prepared:
@@ -54,6 +56,19 @@ class Prepared:
         """Spheres and domes at rest."""
         moves = [o.motion is not None for o in self.scene.objects]
         return spheres_of([surface for surface in self._smooth_surfaces if not moves[surface.object_id]], self.still)
+
+    @cached_property
+    def rods(self) -> list[Quadric]:
+        """Whole cylinders of any radius at their initial poses."""
+        return rods_of(self._smooth_surfaces)
+
+    @cached_property
+    def _balls(self) -> tuple[Sphere, ...]:
+        return balls_of(self._smooth_surfaces)
+
+    def balls_at(self, poses: Floats | None) -> tuple[Sphere, ...]:
+        """Return the whole balls of any size at some poses of the objects (None: the initial ones)."""
+        return self._at(self._balls, poses)
 
     def patches(self, wavelength_m: float, widest_m: float, poses: Floats | None = None) -> list[Patches | None]:
         """Curved surfaces of other shapes in each of `parts`, cut for a wavelength [m]; None where there are none.
@@ -99,12 +114,15 @@ class Prepared:
 
     def quadrics_at(self, poses: Floats | None) -> tuple[Quadric, ...]:
         """Return the fitted cylinders and spheres at some poses of the objects (None: the initial ones)."""
-        if poses is None or not self.quadrics:
-            return self.quadrics
+        return self._at(self.quadrics, poses)
+
+    def _at(self, rows: tuple[Shape, ...], poses: Floats | None) -> tuple[Shape, ...]:
+        if poses is None or not rows:
+            return rows
         start = self.scene.poses()
         moved = [o.motion is not None for o in self.scene.objects]
         return tuple(
-            r.moved(poses[r.object_id] @ invert(start[r.object_id])) if moved[r.object_id] else r for r in self.quadrics
+            r.moved(poses[r.object_id] @ invert(start[r.object_id])) if moved[r.object_id] else r for r in rows
         )
 
     def poses(self, t_ns: Longs) -> Floats | list[None]:

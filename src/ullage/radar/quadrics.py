@@ -32,6 +32,7 @@ _ONE = Creases(np.array([75.0]), np.array([np.cos(np.deg2rad(75.0))]), np.array(
 """Of a surface that is smooth already."""
 _ARC_DEG = 100.0  # a smaller arc of a circle reflects nothing to its own opposite side
 _FEWEST = 16  # triangles
+_AROUND = 0.04  # facets of a rod have the area of the cylinder, to this share of it
 _SAME_RAD = 1e-4  # lines along the axis that are closer than this count as one
 _FILLED = 0.02  # share of a whole strip that may be missing, for rounding and chords
 
@@ -123,6 +124,18 @@ def quadrics_of(surfaces: Sequence[SmoothSurface]) -> tuple[Quadric, ...]:
     return tuple(found)
 
 
+def rods_of(surfaces: Sequence[SmoothSurface]) -> list[Quadric]:
+    """Fit cylinders of any radius to smooth surfaces that go all the way around one, and not beyond its ends."""
+    out = []
+    for surface in surfaces:
+        wall = _fit_cylinder(surface.corners, surface.normals, surface.area, surface.object_id, least_m=0.0)
+        if wall is not None:
+            whole = 2 * np.pi * wall.radius * (wall.high - wall.low)
+            if abs(surface.area.sum() / whole - 1) < _AROUND:
+                out.append(wall)
+    return out
+
+
 def with_caps(walls: Sequence[Quadric], scene: Scene) -> tuple[Quadric, ...]:
     """Return the walls with their `caps`: the strip ends at which flat faces square to the axis end."""
     corners, out = scene.corners(), list(walls)
@@ -179,7 +192,9 @@ def _connected(corners: Floats, object_ids: Ints, limits: Creases) -> list[Longs
     return [group for group in groups if len(group) >= _FEWEST]
 
 
-def _fit_cylinder(corners: Floats, normals: Floats, area: Floats, object_id: int) -> Quadric | None:
+def _fit_cylinder(
+    corners: Floats, normals: Floats, area: Floats, object_id: int, *, least_m: float = LEAST_M
+) -> Quadric | None:
     """Fit a cylinder to triangles (n, 3, 3), if they lie on one; caps that close it smoothly are left out."""
     kept, turn, settled = _search_axis(normals, area)
     axis = turn[:, 0]
@@ -195,7 +210,9 @@ def _fit_cylinder(corners: Floats, normals: Floats, area: Floats, object_id: int
     (x, y, _), *_ = np.linalg.lstsq(equations, ((flat - middle) ** 2).sum(1), rcond=None)
     centre = middle + np.array([x, y])
     away = np.linalg.norm(flat - centre, axis=1)
-    if np.ptp(away) > 2 * OFF_M or away.mean() < LEAST_M or _angle_covered(flat - centre) < np.deg2rad(_ARC_DEG):
+    if np.ptp(away) > min(2 * OFF_M, _DEEP * away.mean()) or away.mean() < least_m:
+        return None
+    if _angle_covered(flat - centre) < np.deg2rad(_ARC_DEG):
         return None
     # angles start opposite a corner of the mesh: they turn with it, and no strip crosses the seam
     turned = -_rows_towards(flat[0] - centre)
@@ -205,7 +222,7 @@ def _fit_cylinder(corners: Floats, normals: Floats, area: Floats, object_id: int
     gaps = np.linalg.norm(halves, axis=2)
     radius = float(away.mean())
     least, most = points[..., 2].min(), points[..., 2].max()
-    if most - least < LEAST_M:
+    if most - least < least_m:
         return None
     return Quadric(np.append(centre, 0.0) @ axes, axes, radius, float(least), float(most),
                  float(max(away.max() - radius, radius - gaps.min())), _widest_extent(points, centre), object_id,

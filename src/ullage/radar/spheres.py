@@ -20,6 +20,7 @@ from ullage.world.smoothing import welded
 
 _FEWEST = 16  # triangles
 _DEEP = 0.05  # largest depth of facets inside the sphere, as a share of its radius
+_FLAT = 0.1  # the same of whole balls of any size
 _WHOLE = 0.01  # facets must fill the sphere less its openings, to this share of it
 _SEEDS = 12  # facets of a surface from which domes are grown
 _PATCH = 2.0  # a dome starts from facets whose middles lie within this many longest sides of the seed facet
@@ -47,6 +48,10 @@ class Sphere:
         """Return which points (..., 3) on the sphere, relative to its centre [m], lie in no opening."""
         return np.asarray((points @ self.caps[:, :3].T <= self.caps[:, 3] + OFF_M).all(-1))
 
+    def moved(self, move: Floats) -> Sphere:
+        """Return a whole sphere after a rigid motion (4, 4)."""
+        return replace(self, centre=move[:3, :3] @ self.centre + move[:3, 3])
+
 
 def spheres_of(surfaces: Sequence[SmoothSurface], still: Surfaces) -> tuple[Sphere, ...]:
     """Find the spheres and domes among smooth surfaces at rest, and the faces that each replaces."""
@@ -60,6 +65,12 @@ def spheres_of(surfaces: Sequence[SmoothSurface], still: Surfaces) -> tuple[Sphe
         bent = np.flatnonzero(~along_axis(surface.normals, surface.area))
         found += _grow_domes(surface.take(bent)) if len(bent) >= _FEWEST else []
     return tuple(_with_masks(sphere, still) for sphere in found)
+
+
+def balls_of(surfaces: Sequence[SmoothSurface]) -> tuple[Sphere, ...]:
+    """Find the whole spheres of any radius among smooth surfaces."""
+    found = [_fit_whole(surface, least_m=0.0, deep=_FLAT) for surface in surfaces]
+    return tuple(sphere for sphere in found if sphere is not None and not len(sphere.caps))
 
 
 def _grow_domes(surface: SmoothSurface) -> list[Sphere]:
@@ -93,16 +104,16 @@ def _fit_sphere(points: Floats) -> tuple[Floats, float, float]:
     return centre, float(away.mean()), float(np.ptp(away))
 
 
-def _fit_whole(surface: SmoothSurface) -> Sphere | None:
+def _fit_whole(surface: SmoothSurface, *, least_m: float = LEAST_M, deep: float = _DEEP) -> Sphere | None:
     """Fit a sphere or dome to a whole surface, if it is one."""
     centre, radius, off = _fit_sphere(surface.corners.reshape(-1, 3))
-    if off > 2 * OFF_M or radius < LEAST_M:
+    if off > min(2 * OFF_M, deep * radius) or radius < least_m:
         return None
     local = surface.corners - centre
     sides = np.linalg.norm(np.roll(local, 1, 1) - local, axis=2)
     depth = radius - float(abs(np.einsum("ni,ni->n", local[:, 0], surface.normals)).min())
     caps = _openings(local)
-    if caps is None or depth > _DEEP * radius or (caps[:, 3] < -radius).any():
+    if caps is None or depth > deep * radius or (caps[:, 3] < -radius).any():
         return None
     share = 1 - ((1 - caps[:, 3] / radius) / 2).sum()
     filled = _solid_angles(local).sum() / (4 * np.pi)

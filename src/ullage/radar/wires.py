@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 
 from ullage.arrays import Complexes, Floats, Ints, Longs
 from ullage.errors import InputError
-from ullage.geometry import C0
+from ullage.geometry import C0, invert
+from ullage.radar.quadrics import Quadric
 from ullage.world.materials import Material
 from ullage.world.scene import Scene
 
@@ -36,6 +37,7 @@ class Lines:
     series: Complexes  # (w, 2, _SINES) TM and TE, straight back
     modes: Complexes  # (k, 2, n, _SINES) TM and TE by order, for other directions, of every kind of wire
     kinds: Longs  # (w) which of these each wire is
+    covers: Floats  # (w) radius of a mesh around the line [m], 0 for wires
 
     def __len__(self) -> int:
         return len(self.radii)
@@ -103,10 +105,45 @@ def strung(scene: Scene, center_hz: float) -> Lines:
     for i, row in enumerate(rows):
         modes[i, :, : row.shape[1]] = row
     kinds = np.array([known.index(kind) for kind in wanted], np.int64)
-    straight_back = (-1.0) ** np.arange(modes.shape[2])
+    series = np.array([_straight_back(row) for row in rows]).reshape(-1, 2, _SINES)[kinds]
+    return Lines(wires.start[held], wires.end[held], wires.radius_m[held], wires.object_id[held], series, modes, kinds,
+                 np.zeros(len(held)))  # fmt: skip
+
+
+def _straight_back(modes: Complexes) -> Complexes:
+    """Sum orders (2, n, s) to the series (2, s) straight back."""
     # the electric field across the axis then points the other way for the same magnetic one
-    series = np.einsum("n,kpns->kps", straight_back, modes)[kinds] * np.array([[1], [-1]])
-    return Lines(wires.start[held], wires.end[held], wires.radius_m[held], wires.object_id[held], series, modes, kinds)
+    signs = np.multiply.outer([1.0, -1.0], (-1.0) ** np.arange(modes.shape[1]))
+    return np.asarray(np.einsum("pn,pns->ps", signs, modes))
+
+
+def rods(scene: Scene, walls: Sequence[Quadric], center_hz: float, reflection: Complexes) -> Lines:
+    """Return cylinders (w) as lines of the exact series less that of physical optics, whose facets echo already.
+
+    Args:
+        scene: what there is.
+        walls: cylinders at the initial poses.
+        center_hz: carrier [Hz].
+        reflection: (o, 2, c) of the objects over cos(incidence), across the plane of incidence and in it.
+    """
+    objects, start = scene.objects, scene.poses()
+    own = [invert(start[w.object_id]) if objects[w.object_id].motion is not None else np.eye(4) for w in walls]
+    ends = np.array([[m[:3, :3] @ (w.centre + z * w.axes[2]) + m[:3, 3] for z in (w.low, w.high)]
+                     for m, w in zip(own, walls, strict=True)]).reshape(-1, 2, 3)  # fmt: skip
+    series = [_straight_back(_modes(w.radius, objects[w.object_id].material, center_hz)) -
+              _physical_optics(w.radius, reflection[w.object_id], center_hz) for w in walls]  # fmt: skip
+    radii, object_ids = np.array([w.radius for w in walls]), np.array([w.object_id for w in walls], np.int32)
+    return Lines(ends[:, 0], ends[:, 1], radii, object_ids, np.array(series).reshape(-1, 2, _SINES),
+                 np.zeros((0, 2, 0, _SINES), complex), np.zeros(len(walls), np.int64), radii)  # fmt: skip
+
+
+def _physical_optics(radius_m: float, reflection: Complexes, center_hz: float) -> Complexes:
+    """Compute the series (2, _SINES) of physical optics: an integral around the lit half of the cylinder."""
+    x = 2 * np.pi * center_hz / C0 * radius_m * np.maximum(np.linspace(0, 1, _SINES), 1e-3)[:, None]
+    nodes, weights = np.polynomial.legendre.leggauss(int(x.max()) + 24)
+    cosine, steps = np.cos(np.pi / 2 * nodes), np.linspace(0, 1, reflection.shape[1])
+    strength = np.array([np.interp(cosine * x / x.max(), steps, row) for row in reflection])
+    return np.asarray(x[:, 0] * np.pi / 4 * (strength * weights * cosine * np.exp(2j * x * (cosine - 1))).sum(2))
 
 
 def placed(lines: Lines, poses: Floats | None) -> tuple[Floats, Floats]:

@@ -6,6 +6,7 @@ import math
 import re
 from typing import Literal
 
+import numpy as np
 from pydantic import Field, field_validator
 
 from ullage.errors import InputError
@@ -26,8 +27,9 @@ class Material(Spec):
     c: float = Field(0.0, ge=0)
     d: float = 0.0
     valid_ghz: tuple[float, float] = (0.0, 1000.0)
-    celsius: float = Field(20.0, ge=-2, le=40, description="temperature of water")
-    salinity: float = Field(0.0, ge=0, le=40, description="of water [g/kg]")
+    celsius: float = Field(20.0, ge=-2, le=40, description="temperature of water, or of drops")
+    salinity: float = Field(0.0, ge=0, le=40, description="of water or drops [g/kg]")
+    water_share: float = Field(0.0, ge=0, le=0.7, description="volume of water in it, as fine drops")
     layers: tuple[tuple[str, float], ...] = Field(
         (), max_length=8, description="coating on every face: material and thickness [m], the outermost first"
     )
@@ -74,7 +76,10 @@ class Material(Spec):
             return _water(frequency_hz, self.celsius, self.salinity)
         if self.model != "itu":
             return _cole_cole(self.model, frequency_hz)
-        return complex(self.a * ghz**self.b, -self.c * ghz**self.d / (2 * math.pi * frequency_hz * EPS0))
+        own = complex(self.a * ghz**self.b, -self.c * ghz**self.d / (2 * math.pi * frequency_hz * EPS0))
+        if not self.water_share:
+            return own
+        return _with_drops(own, _water(frequency_hz, self.celsius, self.salinity), self.water_share)
 
 
 _ITU = "ITU-R P.2040-3, table 3 [ITU-R-P2040]"
@@ -121,6 +126,8 @@ MATERIALS: dict[str, Material] = {
                  source="sea water at 20 C, double Debye of ITU-R P.527-6 [ITU-R-P527]"),
         Material(name="oil", a=2.18, c=3.4e-4, d=1.0, valid_ghz=(1, 25), reflection=0.2,
                  source="transformer oil, 3 GHz value taken as flat, tan d 0.0028 [VonHippel1954]"),
+        Material(name="sludge", a=2.18, c=3.4e-4, d=1.0, water_share=0.4, valid_ghz=(1, 25), reflection=0.4,
+                 source="oil as above with 40 % of water in fine drops [Bruggeman1935]; real contents differ widely"),
         Material(name="skin", model="skin", valid_ghz=(0.01, 100), reflection=0.7,
                  source="dry skin, four-term Cole-Cole [Gabriel1996]"),
         Material(name="muscle", model="muscle", valid_ghz=(0.01, 100), reflection=0.7,
@@ -156,6 +163,16 @@ def _water(frequency_hz: float, t: float, s: float) -> complex:
     high *= 1 + s * (-2.04265e-3 + 1.57883e-4 * t)
     relaxed = (static - middle) / (1 + 1j * ghz / slow) + (middle - high) / (1 + 1j * ghz / fast) + high
     return complex(relaxed - 1j * _conductivity(t, s) / (2 * math.pi * frequency_hz * EPS0))
+
+
+def _with_drops(around: complex, drops: complex, share: float) -> complex:
+    """Permittivity of an emulsion of small drops in a liquid [Bruggeman1935].
+
+    With u^3 the permittivity over that around the drops, 1 - share = (d - u^3) / ((d - 1) u), d that of the drops.
+    """
+    ratio = drops / around
+    roots = np.roots([1.0, 0.0, (1 - share) * (ratio - 1), -ratio])
+    return complex(around * roots[roots.real.argmax()] ** 3)  # the other two have real parts below zero
 
 
 def _conductivity(t: float, s: float) -> float:

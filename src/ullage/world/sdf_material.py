@@ -15,7 +15,7 @@ from ullage.world.sdf_parse import NAMESPACE, Node
 from ullage.world.smoothing import CREASES_DEG, Smooth
 
 DEFAULT_MATERIAL = "steel"
-_NUMBERS = ("thickness_m", "roughness_m", "correlation_m", "celsius", "salinity")
+_NUMBERS = ("thickness_m", "roughness_m", "correlation_m", "celsius", "salinity", "water_share")
 _ATTRIBUTES = (*_NUMBERS, "layers")
 
 

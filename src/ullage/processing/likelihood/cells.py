@@ -7,6 +7,7 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
@@ -28,7 +29,7 @@ from ullage.processing.likelihood.silence import Silence, without_surfaces
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import UNFIT_SIGMA, Surface, smoothed
 
-FREE, OCCUPIED = 5, 95  # percent
+LIKELY = 50  # percent from which a cell that echoes show is published: it rather holds surface than not
 FULL_NATS = 30.0  # an echo with as many counts in full
 MOST_HALF_M, MOST_BEND = 0.5, 2.0  # of the piece of a surface that one echo shows; the bend is that of volumes
 LEAST_RADIUS_M = 0.25  # of a round surface
@@ -74,7 +75,8 @@ def render(
     plane, quiet = Plane(*grid.origin_m[:2], grid.step_m, *grid.shape), silence.nats
     percent = np.full(grid.size, UNKNOWN, np.int8)
     kept = np.zeros(len(surfaces), bool)
-    percent[_body(grid, flown, spec.vehicle_m)] = FREE
+    body = _body(grid, flown, spec.vehicle_m)
+    percent[body] = 0
     if surfaces:
         views, owner, cut = _views(grid, surfaces, wavelength_m, fold_m, spec)
         sloped = np.array([one.sloped for one in surfaces])
@@ -87,7 +89,8 @@ def render(
         crossed = np.zeros(grid.size)
         widening = BLOCKED * math.sqrt(wavelength_m / 2)  # the first Fresnel zone: sqrt(wavelength distance / 2)
         find_crossed(plane, views, evidence, level, spec.evidence, alive, widening, crossed)
-        occupied = shown & (crossed < spec.crossed * evidence)
+        solid = occupied_percent(evidence, crossed, spec.plane_odds, spec)
+        likely = shown & (solid >= LIKELY)
         slopes = (sloped & ~false)[owner]
         clearance = _clearance(views, owner)
         doubt = np.sqrt([one.covariance[1, 1] for one in surfaces])[owner]
@@ -99,10 +102,28 @@ def render(
         width = np.where(alive | slopes, spec.tube * clearance, 0.0)
         tubes = Tubes(width, doubt, wavelength_m, spec.margin_m, SURE_M)
         free = _passed(plane, paths, tubes, ends, near) & (quiet[0] >= 0)
-        free |= _silent(plane, silence, ends, free | (percent == FREE), spec)
-        percent[free & ~shown] = FREE
-        percent[occupied] = OCCUPIED
+        free |= _silent(plane, silence, ends, free | (percent == 0), spec)
+        free &= ~shown & (percent != 0)
+        percent[free] = free_percent(quiet[0, free], spec)
+        percent[likely] = solid[likely]
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
+
+
+def occupied_percent(evidence: Floats, crossed: Floats, odds: float, spec: LikelihoodSpec) -> NDArray[np.int8]:
+    """Chance (cells) that cells hold surface, from the weights of the echoes that show it and of those that cross it.
+
+    The log-odds are linear in the logarithm of the evidence and in the crossed share of it, fitted to flights
+    [Platt1999].
+    """
+    seen = np.maximum(evidence, 1e-9)
+    grown = odds * seen**spec.odds_power * np.exp(-spec.crossed_nats * np.minimum(crossed / seen, 10.0))
+    return np.rint(100 * grown / (1 + grown)).astype(np.int8)
+
+
+def free_percent(nats: Floats, spec: LikelihoodSpec) -> NDArray[np.int8]:
+    """Chance (cells) that cells held free are not, from their log-likelihood of silence [Platt1999]."""
+    odds = spec.free_odds * np.exp(-np.maximum(nats, 0.0) / spec.free_nats)
+    return np.rint(100 * odds / (1 + odds)).astype(np.int8)
 
 
 def _passed(plane: Plane, views: Views, tubes: Tubes, evidence: Floats, extensions: Floats) -> Bools:

@@ -45,7 +45,12 @@ class LikelihoodSpec:
     least_keyframes: int = 3  # of a surface on the map
     # cells
     evidence: float = 1.5  # sum of the weights of echoes in an occupied cell
-    crossed: float = 0.25  # stronger echoes from behind, over a cell's own evidence, from which it is not occupied
+    plane_odds: float = 2.19  # that a cell with an evidence of 1 holds surface; these numbers are fitted [Platt1999]
+    volume_odds: float = 1.07  # the same in a volume, where one echo shows more cells
+    odds_power: float = 0.75  # of the evidence in these odds
+    crossed_nats: float = 11.8  # that echoes from behind take, if stronger and as many as the cell's own
+    free_odds: float = 0.0069  # that a free cell without silence holds surface
+    free_nats: float = 10.8  # of silence that divide these odds by e: looks from near places are not independent
     support: float = 1.0  # half width of what one echo shows of a surface, in radii of the first Fresnel zone
     tube: float = 0.6  # half width of the free space before an echo of full level, in Fresnel radii: an edge costs none
     margin_m: float = 0.05  # before an echo that is not declared free: its range's errors, and roughness

@@ -27,13 +27,14 @@ from ullage.kernels.volume_cells import (
 from ullage.processing.likelihood.cells import (
     FLOWN_M,
     FLOWN_SHARE,
-    FREE,
     FULL_NATS,
     LEAST_FLATNESS,
+    LIKELY,
     MOST_BEND,
-    OCCUPIED,
     ROUNDS,
     SEEN_SHARE,
+    free_percent,
+    occupied_percent,
 )
 from ullage.processing.likelihood.directions import DirectedEchoes
 from ullage.processing.likelihood.folding import folded
@@ -121,7 +122,8 @@ def render(
     resolved = np.array([one.share >= RESOLVED for one in surfaces], bool)
     plausible = np.array([_is_plausible(one, radar.mirror_m) for one in surfaces], bool)
     kept = np.zeros(len(surfaces), bool)
-    occupied, shown = np.zeros((2, grid.size), bool)
+    likely, shown = np.zeros((2, grid.size), bool)
+    solid = np.zeros(grid.size, np.int8)
     fold_m = np.zeros(len(surfaces))
     if resolved.any():
         views, owner, _ = _views(
@@ -137,15 +139,16 @@ def render(
         shown = evidence >= spec.evidence
         crossed, tube = np.zeros(grid.size), NARROW * spec.tube * math.sqrt(wavelength_m / 2)
         find_crossed(box, views, evidence, level, spec.evidence, alive, tube, crossed)
-        occupied = shown & (crossed < spec.crossed * evidence)
-    silent = _silent(grid, (surfaces, resolved, fold_m), quiets, occupied, radar, spec)
+        solid = occupied_percent(evidence, crossed, spec.volume_odds, spec)
+        likely = shown & (solid >= LIKELY)
+    silent = _silent(grid, (surfaces, resolved, fold_m), quiets, likely, radar, spec)
     _ambiguous(
         box, [one for one, sure in zip(surfaces, resolved, strict=True) if not sure], wavelength_m, spec, percent
     )
     beside = binary_dilation(shown.reshape(grid.shape), np.ones((3, 3, 3), bool)).ravel()
-    percent[silent & ~beside] = FREE
-    percent[_body(grid, flown, spec.vehicle_m)] = FREE
-    percent[occupied] = OCCUPIED
+    percent[silent & ~beside] = free_percent(np.zeros(1), spec)
+    percent[_body(grid, flown, spec.vehicle_m)] = 0
+    percent[likely] = solid[likely]
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
 
 
