@@ -126,7 +126,7 @@ def accumulate_creeping(
     factor = antennas.factor * between.factor
     for direction, frame in zip(toward, antennas.frames, strict=True):
         factor = factor * gain(context.spec.antenna, direction @ frame.T)
-    made = [impulses(ball.radius, objects[ball.object_id].material, context.spec) for ball in rows]
+    made = [impulses(round(ball.radius, 6), objects[ball.object_id].material, context.spec) for ball in rows]
     of = np.repeat(np.arange(len(made)), [len(one.delay_s) for one in made])
     late = np.concatenate([one.delay_s for one in made])
     middle, mean = away.sum(0) / C0 + between.delay_s, away.mean(0)[of]
