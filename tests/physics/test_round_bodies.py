@@ -18,6 +18,8 @@ import ullage as ul
 from studies.validation.oracles import mie_width, wire_gain
 from studies.validation.rows import db
 from ullage.geometry import C0
+from ullage.radar import creeping
+from ullage.radar.context import radar_context
 from ullage.radar.physical import path_gain_cw
 from ullage.radar.pulse import spectrum
 from ullage.world.materials import material
@@ -166,3 +168,16 @@ def test_moving_rods():
     moving = ul.Scene.of_mesh(rod.vertices, rod.faces, name="rod", made_of="pec", motion=carried)
     want = ul.simulate(ul.scenes.cylinder(0.01, 0.3, FAR_M), here, radar()).samples[0]
     assert abs(ul.simulate(moving, here, radar()).samples[0] - want).max() < 1e-3 * abs(want).max()
+
+
+@pytest.mark.parametrize("coat", [{"layers": [("plastic", 0.002)]}, {"roughness_m": 0.001}])
+def test_coated_and_rough_bodies_stay_as_they_are(coat):
+    """The series know one smooth material; what they say of the bare body must not come on top."""
+    here, made_of = ul.Trajectory.stationary(), material("steel").but(**coat)
+    ball, rod = (ul.Scene.of_mesh(bare.vertices, bare.faces, name="body", made_of=made_of)
+                 for bare in (ul.scenes.sphere(0.02, FAR_M), ul.scenes.cylinder(0.01, 0.1, FAR_M)))  # fmt: skip
+    whole, plain = (path_gain_cw(ball, here, radar(), F_HZ, edges=edges)[0] for edges in (True, False))
+    assert whole == plain
+    context = radar_context(rod, radar())
+    assert len(context.world.rods) == 1
+    assert len(creeping.rods(context)) == 0

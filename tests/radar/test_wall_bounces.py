@@ -14,7 +14,7 @@ from ullage.radar import wall_bounces
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import apparent_sizes
 from ullage.radar.prepared import prepare
-from ullage.radar.quadrics import quadrics_of, smooth_surfaces_of
+from ullage.radar.quadrics import quadrics_of, smooth_surfaces_of, walls_of
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -166,7 +166,8 @@ def test_outside_of_a_drum_and_in_a_room_there_is_none():
 
 def test_which_surfaces_are_round_walls():
     def found(scene):
-        return quadrics_of(smooth_surfaces_of(scene, np.ones(len(scene.faces), bool)))
+        surfaces = smooth_surfaces_of(scene, np.ones(len(scene.faces), bool))
+        return quadrics_of(surfaces, walls_of(surfaces))
 
     lying = scenes.cylinder(1.3, 3.0, 0.5, tilt_deg=70, edge_m=0.1)
     (one,) = found(lying)

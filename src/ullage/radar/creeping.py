@@ -108,12 +108,32 @@ def impulses(radius_m: float, material: Material, spec: RadarSpec) -> Impulses:
     return Impulses(delay, np.asarray(value, complex))
 
 
+def _bare(context: RadarContext, object_id: int) -> bool:
+    """Return whether the series hold for an object: solid, of one material, smooth."""
+    material = context.world.scene.objects[object_id].material
+    return smoothed(context, object_id) and not material.layers and not material.roughness_m
+
+
+@lru_cache(maxsize=32)
+def _impulses_of(context: RadarContext) -> dict[int, Impulses]:
+    """Return the impulses of the balls for which the series holds, by their numbers."""
+    objects = context.world.scene.objects
+    return {
+        k: impulses(round(ball.radius, 6), objects[ball.object_id].material, context.spec)
+        for k, ball in enumerate(context.world.balls_at(None))
+        if _bare(context, ball.object_id)
+    }
+
+
 def accumulate_creeping(
     context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, poses: Floats | None, grids: Complexes
 ) -> list[EchoSet]:
     """Add what physical optics leaves out on whole balls in sight to the delay grids."""
-    objects = context.world.scene.objects
-    rows = [ball for ball in context.world.balls_at(poses) if smoothed(context, ball.object_id)]
+    known = _impulses_of(context)
+    if not known:
+        return []
+    balls = context.world.balls_at(poses)
+    rows = [balls[k] for k in known]
     centres, radii = np.array([ball.centre for ball in rows]).reshape(-1, 3), np.array([ball.radius for ball in rows])
     away = np.linalg.norm(centres - antennas.origins[:, None], axis=2)
     seen = np.flatnonzero((away.min(0) > radii) & (away.mean(0) - radii < context.gate[1]))
@@ -126,7 +146,8 @@ def accumulate_creeping(
     factor = antennas.factor * between.factor
     for direction, frame in zip(toward, antennas.frames, strict=True):
         factor = factor * gain(context.spec.antenna, direction @ frame.T)
-    made = [impulses(ball.radius, objects[ball.object_id].material, context.spec) for ball in rows]
+    every = list(known.values())
+    made = [every[k] for k in seen]
     of = np.repeat(np.arange(len(made)), [len(one.delay_s) for one in made])
     late = np.concatenate([one.delay_s for one in made])
     middle, mean = away.sum(0) / C0 + between.delay_s, away.mean(0)[of]
@@ -148,5 +169,5 @@ def accumulate_creeping(
 @lru_cache(maxsize=32)
 def rods(context: RadarContext) -> Lines:
     """Return the whole cylinders as lines of what physical optics leaves out on them."""
-    walls = [wall for wall in context.world.rods if smoothed(context, wall.object_id)]
+    walls = [wall for wall in context.world.rods if _bare(context, wall.object_id)]
     return lines_of(context.world.scene, walls, context.spec.center_hz, context.bounce[:, 0])

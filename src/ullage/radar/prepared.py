@@ -15,7 +15,7 @@ from ullage.radar.diffraction import sharp_edges
 from ullage.radar.facets import Surfaces, gather, only
 from ullage.radar.movers import Movers
 from ullage.radar.patches import Patches, patches_of
-from ullage.radar.quadrics import Quadric, SmoothSurface, quadrics_of, rods_of, smooth_surfaces_of, with_caps
+from ullage.radar.quadrics import Quadric, SmoothSurface, quadrics_of, rods_of, smooth_surfaces_of, walls_of, with_caps
 from ullage.radar.spheres import Sphere, balls_of, spheres_of
 from ullage.world import smoothing
 from ullage.world.raycast import Raycaster
@@ -49,7 +49,7 @@ class Prepared:
     @cached_property
     def quadrics(self) -> tuple[Quadric, ...]:
         """Cylinders and spheres fitted to the world at its initial poses."""
-        return with_caps(quadrics_of(self._smooth_surfaces), self.scene)
+        return with_caps(quadrics_of(self._smooth_surfaces, self._walls), self.scene)
 
     @cached_property
     def spheres(self) -> tuple[Sphere, ...]:
@@ -60,7 +60,11 @@ class Prepared:
     @cached_property
     def rods(self) -> list[Quadric]:
         """Whole cylinders of any radius at their initial poses."""
-        return rods_of(self._smooth_surfaces)
+        return rods_of(self._smooth_surfaces, self._walls)
+
+    @cached_property
+    def _walls(self) -> list[Quadric | None]:
+        return walls_of(self._smooth_surfaces)
 
     @cached_property
     def _balls(self) -> tuple[Sphere, ...]:

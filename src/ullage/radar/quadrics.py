@@ -109,12 +109,18 @@ def smooth_surfaces_of(scene: Scene, faces: Bools) -> list[SmoothSurface]:
             for mine in _connected(corners, object_ids, creases(scene.objects))]  # fmt: skip
 
 
-def quadrics_of(surfaces: Sequence[SmoothSurface]) -> tuple[Quadric, ...]:
-    """Fit cylinders and spheres to smooth surfaces."""
+def walls_of(surfaces: Sequence[SmoothSurface]) -> list[Quadric | None]:
+    """Fit a cylinder of any size to each smooth surface, where it lies on one."""
+    return [_fit_cylinder(s.corners, s.normals, s.area, s.object_id) for s in surfaces]
+
+
+def quadrics_of(surfaces: Sequence[SmoothSurface], walls: Sequence[Quadric | None]) -> tuple[Quadric, ...]:
+    """Take the cylinders and spheres of smooth surfaces that are large enough to reflect as mirrors."""
     found = []
-    for surface in surfaces:
-        facets = surface.corners, surface.normals, surface.area, surface.object_id
-        sphere, wall = _fit_sphere(*facets), _fit_cylinder(*facets)
+    for surface, fitted in zip(surfaces, walls, strict=True):
+        large = fitted is not None and min(fitted.radius, fitted.high - fitted.low) >= LEAST_M
+        wall = fitted if large else None
+        sphere = _fit_sphere(surface.corners, surface.normals, surface.area, surface.object_id)
         if sphere is not None and (
             wall is None or sphere.depth < 2 * wall.depth
         ):  # the rims of a drum also lie on a sphere
@@ -124,16 +130,14 @@ def quadrics_of(surfaces: Sequence[SmoothSurface]) -> tuple[Quadric, ...]:
     return tuple(found)
 
 
-def rods_of(surfaces: Sequence[SmoothSurface]) -> list[Quadric]:
-    """Fit cylinders of any radius to smooth surfaces that go all the way around one, and not beyond its ends."""
-    out = []
-    for surface in surfaces:
-        wall = _fit_cylinder(surface.corners, surface.normals, surface.area, surface.object_id, least_m=0.0)
-        if wall is not None:
-            whole = 2 * np.pi * wall.radius * (wall.high - wall.low)
-            if abs(surface.area.sum() / whole - 1) < _AROUND:
-                out.append(wall)
-    return out
+def rods_of(surfaces: Sequence[SmoothSurface], walls: Sequence[Quadric | None]) -> list[Quadric]:
+    """Take the cylinders of smooth surfaces that go all the way around one, and not beyond its ends."""
+    return [
+        wall
+        for surface, wall in zip(surfaces, walls, strict=True)
+        if wall is not None
+        and abs(surface.area.sum() / (2 * np.pi * wall.radius * (wall.high - wall.low)) - 1) < _AROUND
+    ]
 
 
 def with_caps(walls: Sequence[Quadric], scene: Scene) -> tuple[Quadric, ...]:
@@ -192,9 +196,7 @@ def _connected(corners: Floats, object_ids: Ints, limits: Creases) -> list[Longs
     return [group for group in groups if len(group) >= _FEWEST]
 
 
-def _fit_cylinder(
-    corners: Floats, normals: Floats, area: Floats, object_id: int, *, least_m: float = LEAST_M
-) -> Quadric | None:
+def _fit_cylinder(corners: Floats, normals: Floats, area: Floats, object_id: int) -> Quadric | None:
     """Fit a cylinder to triangles (n, 3, 3), if they lie on one; caps that close it smoothly are left out."""
     kept, turn, settled = _search_axis(normals, area)
     axis = turn[:, 0]
@@ -210,9 +212,8 @@ def _fit_cylinder(
     (x, y, _), *_ = np.linalg.lstsq(equations, ((flat - middle) ** 2).sum(1), rcond=None)
     centre = middle + np.array([x, y])
     away = np.linalg.norm(flat - centre, axis=1)
-    if np.ptp(away) > min(2 * OFF_M, _DEEP * away.mean()) or away.mean() < least_m:
-        return None
-    if _angle_covered(flat - centre) < np.deg2rad(_ARC_DEG):
+    off = np.ptp(away)
+    if off > min(2 * OFF_M, _DEEP * away.mean()) or _angle_covered(flat - centre) < np.deg2rad(_ARC_DEG):
         return None
     # angles start opposite a corner of the mesh: they turn with it, and no strip crosses the seam
     turned = -_rows_towards(flat[0] - centre)
@@ -222,8 +223,6 @@ def _fit_cylinder(
     gaps = np.linalg.norm(halves, axis=2)
     radius = float(away.mean())
     least, most = points[..., 2].min(), points[..., 2].max()
-    if most - least < least_m:
-        return None
     return Quadric(np.append(centre, 0.0) @ axes, axes, radius, float(least), float(most),
                  float(max(away.max() - radius, radius - gaps.min())), _widest_extent(points, centre), object_id,
                  strips=_strips(points, centre, area[kept]))  # fmt: skip

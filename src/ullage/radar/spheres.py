@@ -69,8 +69,16 @@ def spheres_of(surfaces: Sequence[SmoothSurface], still: Surfaces) -> tuple[Sphe
 
 def balls_of(surfaces: Sequence[SmoothSurface]) -> tuple[Sphere, ...]:
     """Find the whole spheres of any radius among smooth surfaces."""
-    found = [_fit_whole(surface, least_m=0.0, deep=_FLAT) for surface in surfaces]
-    return tuple(sphere for sphere in found if sphere is not None and not len(sphere.caps))
+    out = []
+    for surface in surfaces:
+        centre, radius, off = _fit_sphere(surface.corners.reshape(-1, 3))
+        local = surface.corners - centre
+        depth = radius - float(abs(np.einsum("ni,ni->n", local[:, 0], surface.normals)).min())
+        round_ = max(off, depth) < _FLAT * radius and off < 2 * OFF_M
+        if round_ and abs(_solid_angles(local).sum() / (4 * np.pi) - 1) < _WHOLE:
+            widest = float(np.linalg.norm(np.roll(local, -1, 1) - local, axis=2).min(1).max())
+            out.append(Sphere(centre, radius, depth, widest, surface.object_id, np.zeros((0, 4)), surface.faces))
+    return tuple(out)
 
 
 def _grow_domes(surface: SmoothSurface) -> list[Sphere]:
@@ -104,16 +112,16 @@ def _fit_sphere(points: Floats) -> tuple[Floats, float, float]:
     return centre, float(away.mean()), float(np.ptp(away))
 
 
-def _fit_whole(surface: SmoothSurface, *, least_m: float = LEAST_M, deep: float = _DEEP) -> Sphere | None:
+def _fit_whole(surface: SmoothSurface) -> Sphere | None:
     """Fit a sphere or dome to a whole surface, if it is one."""
     centre, radius, off = _fit_sphere(surface.corners.reshape(-1, 3))
-    if off > min(2 * OFF_M, deep * radius) or radius < least_m:
+    if off > 2 * OFF_M or radius < LEAST_M:
         return None
     local = surface.corners - centre
     sides = np.linalg.norm(np.roll(local, 1, 1) - local, axis=2)
     depth = radius - float(abs(np.einsum("ni,ni->n", local[:, 0], surface.normals)).min())
     caps = _openings(local)
-    if caps is None or depth > deep * radius or (caps[:, 3] < -radius).any():
+    if caps is None or depth > _DEEP * radius or (caps[:, 3] < -radius).any():
         return None
     share = 1 - ((1 - caps[:, 3] / radius) / 2).sum()
     filled = _solid_angles(local).sum() / (4 * np.pi)

@@ -43,24 +43,31 @@ class Lines:
         return len(self.radii)
 
 
-def _orders(ka: ArrayLike, eps: complex | None = None, *, oblique: float = 1.0) -> tuple[Complexes, Complexes]:
+def _orders(ka: ArrayLike, eps: complex | None = None, *, oblique: ArrayLike = 1.0) -> tuple[Complexes, Complexes]:
     """Terms (n, k) of the field scattered by the infinite cylinder: E along the axis (TM), H along it (TE).
 
     Term n times cos(n psi) goes out at psi from the direction in which the wave came [Balanis2012, ch. 11].
     """
-    from scipy.special import h2vp, hankel2, jv, jvp
+    from scipy.special import jv, yv
 
     x = np.atleast_1d(np.asarray(ka, float))
-    order = np.arange(int(np.ceil(x.max() + 4 * x.max() ** (1 / 3))) + 12)
-    n, z = order[:, None], np.maximum(x, 1e-9)[None]
+    order = np.arange(-1, int(np.ceil(x.max() + 4 * x.max() ** (1 / 3))) + 13)[:, None]
+    n, z = order[1:-1], np.maximum(x, 1e-9)[None]
+
+    def slopes(rows: Complexes) -> Complexes:
+        return (rows[:-2] - rows[2:]) / 2
+
     with np.errstate(all="ignore"):
-        j, dj, h, dh = jv(n, z), jvp(n, z), hankel2(n, z), h2vp(n, z)
+        js = jv(order, z)
+        hs = js - 1j * yv(order, z)
+        j, dj, h, dh = js[1:-1], slopes(js), hs[1:-1], slopes(hs)
         if eps is None:
             tm, te = j / h, dj / dh
         else:
-            m = np.sqrt(eps - 1 + oblique**2) / oblique
+            m = np.sqrt(eps - 1 + np.square(oblique)) / oblique
             inner = m * m
-            ji, dji = jv(n, m * z), jvp(n, m * z)
+            jis = jv(order, m * z)
+            ji, dji = jis[1:-1], slopes(jis)
             tm = (j * dji * m - dj * ji) / (h * dji * m - dh * ji)
             te = (j * dji * m / inner - dj * ji) / (h * dji * m / inner - dh * ji)
     twice = np.where(n == 0, -1, -2)
@@ -72,15 +79,8 @@ def _modes(radius_m: float, material: Material, center_hz: float) -> Complexes:
     """Orders of the scattered field (2, n, _SINES) over the sine of the angle to the axis, less the lead."""
     k = 2 * np.pi * center_hz / C0
     sine = np.maximum(np.linspace(0, 1, _SINES), 1e-3)
-    if material.conductor:
-        both = np.stack(_orders(k * radius_m * sine))
-    else:
-        eps = material.permittivity(center_hz)
-        rows = [_orders(k * radius_m * s, eps, oblique=float(s)) for s in sine]
-        most = max(len(tm) for tm, _ in rows)
-        both = np.zeros((2, most, _SINES), complex)
-        for i, row in enumerate(rows):
-            both[:, : len(row[0]), i] = np.stack(row)[..., 0]
+    eps = None if material.conductor else material.permittivity(center_hz)
+    both = np.stack(_orders(k * radius_m * sine, eps, oblique=sine))
     count = int(np.flatnonzero(abs(both).max((0, 2)) > _LEAST * abs(both).max())[-1]) + 1
     return np.asarray((both * np.exp(-2j * k * radius_m * sine))[:, :count])
 
@@ -130,9 +130,13 @@ def rods(scene: Scene, walls: Sequence[Quadric], center_hz: float, reflection: C
     own = [invert(start[w.object_id]) if objects[w.object_id].motion is not None else np.eye(4) for w in walls]
     ends = np.array([[m[:3, :3] @ (w.centre + z * w.axes[2]) + m[:3, 3] for z in (w.low, w.high)]
                      for m, w in zip(own, walls, strict=True)]).reshape(-1, 2, 3)  # fmt: skip
-    series = [_straight_back(_modes(w.radius, objects[w.object_id].material, center_hz)) -
-              _physical_optics(w.radius, reflection[w.object_id], center_hz) for w in walls]  # fmt: skip
-    radii, object_ids = np.array([w.radius for w in walls]), np.array([w.object_id for w in walls], np.int32)
+    radii, object_ids = np.array([round(w.radius, 6) for w in walls]), np.array([w.object_id for w in walls], np.int32)
+    known: dict[tuple[float, Material], Complexes] = {}
+    for radius, k in zip(radii.tolist(), object_ids, strict=True):
+        kind = radius, objects[k].material
+        if kind not in known:
+            known[kind] = _straight_back(_modes(*kind, center_hz)) - _physical_optics(radius, reflection[k], center_hz)
+    series = [known[radius, objects[k].material] for radius, k in zip(radii.tolist(), object_ids, strict=True)]
     return Lines(ends[:, 0], ends[:, 1], radii, object_ids, np.array(series).reshape(-1, 2, _SINES),
                  np.zeros((0, 2, 0, _SINES), complex), np.zeros(len(walls), np.int64), radii)  # fmt: skip
 
