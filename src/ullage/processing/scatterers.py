@@ -105,8 +105,9 @@ def find_scatterers(
 def with_scatterers(omap: OccupancyMap, found: Sequence[Scatterer]) -> OccupancyMap:
     """Add the evidence of scatterers to their cells: log-odds of -ln(chance) to what the map holds.
 
-    Cells of which nothing is known start from 3 % (log-odds of -3.5). Cells that the vehicle flew through need stronger
-    evidence. A plane shows scatterers of every height, a volume those of known height.
+    Cells of which nothing is known start from 3 % (log-odds of -3.5), and so do cells freed by silence, which the same
+    frames showed. Cells that the vehicle flew through need stronger evidence. A plane shows scatterers of every height,
+    a volume those of known height.
 
     Args:
         omap: of the other echoes.
@@ -120,7 +121,8 @@ def with_scatterers(omap: OccupancyMap, found: Sequence[Scatterer]) -> Occupancy
     for one, cell, there in zip(shown, map(tuple, index), inside, strict=True):
         if there:
             share = percent[cell] / 100
-            held = PRIOR if share < 0 else float(np.log(max(share, 1e-9) / max(1 - share, 1e-9)))
+            held = float(np.log(max(share, 1e-9) / max(1 - share, 1e-9)))
+            held = held if share == 0 else max(held, PRIOR)
             odds = np.clip(held, -MOST_LOG_ODDS, MOST_LOG_ODDS) - np.log(one.chance)
             percent[cell] = round(100 / (1 + float(np.exp(-odds))))
     return OccupancyMap(omap.grid, percent, omap.method, omap.occupied_from, omap.free_to, surfaces=omap.surfaces)

@@ -121,9 +121,12 @@ def occupied_percent(evidence: Floats, crossed: Floats, odds: float, spec: Likel
 
 
 def free_percent(nats: Floats, spec: LikelihoodSpec) -> NDArray[np.int8]:
-    """Chance (cells) that cells held free are not, from their log-likelihood of silence [Platt1999]."""
+    """Chance (cells) that cells held free are not, from their log-likelihood of silence [Platt1999].
+
+    At least 1 %: only where the vehicle was, it is 0.
+    """
     odds = spec.free_odds * np.exp(-np.maximum(nats, 0.0) / spec.free_nats)
-    return np.rint(100 * odds / (1 + odds)).astype(np.int8)
+    return np.maximum(np.rint(100 * odds / (1 + odds)), 1).astype(np.int8)
 
 
 def _passed(plane: Plane, views: Views, tubes: Tubes, evidence: Floats, extensions: Floats) -> Bools:
