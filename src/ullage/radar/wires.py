@@ -137,7 +137,8 @@ def rods(scene: Scene, walls: Sequence[Quadric], center_hz: float, reflection: C
         if kind not in known:
             known[kind] = _straight_back(_modes(*kind, center_hz)) - _physical_optics(radius, reflection[k], center_hz)
     series = [known[radius, objects[k].material] for radius, k in zip(radii.tolist(), object_ids, strict=True)]
-    return Lines(ends[:, 0], ends[:, 1], radii, object_ids, np.array(series).reshape(-1, 2, _SINES),
+    first, last = (np.ascontiguousarray(ends[:, k]) for k in range(2))  # as of wires: kernels compile once
+    return Lines(first, last, radii, object_ids, np.array(series).reshape(-1, 2, _SINES),
                  np.zeros((0, 2, 0, _SINES), complex), np.zeros(len(walls), np.int64), radii)  # fmt: skip
 
 
