@@ -111,9 +111,10 @@ def test_a_false_alarm_probability_has_bounds(pfa: float) -> None:
 def test_a_scatterer_where_the_vehicle_flew_shows_only_where_it_outweighs_the_flight() -> None:
     grid = ul.Grid((0.0, 0.0, 1.0), 0.1, (20, 20))
     percent = np.full(grid.shape, -1, np.int8)
-    percent[:, 5] = 0  # flown through
+    percent[:, 5], percent[:, 10] = 0, 1  # flown through, and freed by silence
     omap = ul.OccupancyMap(grid, percent)
-    for x, chance, shown in ((0.55, 0.01, False), (0.55, 1e-5, True), (1.55, 0.01, True), (1.55, 0.1, False)):
+    for x, chance, shown in ((0.55, 0.01, False), (0.55, 1e-5, True), (1.55, 0.01, True), (1.55, 0.1, False),
+                             (1.05, 0.01, True), (1.05, 0.1, False)):  # fmt: skip
         got = with_scatterers(omap, [Scatterer(np.array([x, 1.05, 1.0]), 100.0, True, chance)])
         assert got.occupied.any() == shown, (x, chance)
     assert with_scatterers(omap, []).percent is omap.percent

@@ -37,7 +37,7 @@ APERTURE_M = 0.5  # of track that a view needs at least
 STOP_S = 2.0  # of every flight to a view: start, turn and stop
 SLACK = 1.3  # flown time over that of the straight segments
 RESERVE_S = 4.0  # left at home
-SURELY_FREE = 0.95  # chance from which a cell is flown through: what the guard sees counts besides
+SURELY_FREE = 0.95  # chance that a cell is free, from which paths may cross it; the guard looks ahead besides
 TIGHT = 2.0  # cost of a cell that was flown through with less than the asked clearance: the guard slows flights there
 KEEP = 1.5  # a goal is kept until another one is better by as much
 

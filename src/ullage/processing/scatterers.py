@@ -122,7 +122,7 @@ def with_scatterers(omap: OccupancyMap, found: Sequence[Scatterer]) -> Occupancy
         if there:
             share = percent[cell] / 100
             held = float(np.log(max(share, 1e-9) / max(1 - share, 1e-9)))
-            held = held if share == 0 else max(held, PRIOR)
+            held = held if share == 0 else max(held, PRIOR)  # 0: flown through; below 0: unknown
             odds = np.clip(held, -MOST_LOG_ODDS, MOST_LOG_ODDS) - np.log(one.chance)
             percent[cell] = round(100 / (1 + float(np.exp(-odds))))
     return OccupancyMap(omap.grid, percent, omap.method, omap.occupied_from, omap.free_to, surfaces=omap.surfaces)
