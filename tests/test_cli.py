@@ -340,7 +340,7 @@ def test_a_family_with_options_is_the_scenario_of_the_older_name(
             assert Told(("config", *one.words.split()), place, capsys).stdout == Told(
                 ("config", older), place, capsys
             ).stdout.replace(f'name: "{one.words}"', f'name: "{older}"')
-    assert len(families()) == 8
+    assert len(families()) == 13
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")

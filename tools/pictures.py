@@ -54,6 +54,8 @@ def drawings() -> list[Drawing]:
                  ("ullage.view.moving_picture", "runs/latest", "cargo_hold.webp"))),
         Drawing(("explain.png",), page, ("ullage.view.explain_figure",),
                 (("ullage", "run", "ntnu-plate", "--law", "physical", "--force"),), figures.format("explain")),
+        Drawing(("silo_map.png",), page, ("ullage.view.figures",),
+                (("ullage", "run", "silo", "--force"),), figures.format("map")),
     ]  # fmt: skip
     return [*made, *tutorials, *tools, *runs]
 

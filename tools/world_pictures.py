@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from ullage.view.world_picture import PATH_COLOR, VIEWS, save_palette_png, world_picture
+from ullage.view import world_picture as pictures
+from ullage.view.world_picture import PATH_COLOR, save_palette_png, world_picture
 from ullage.world.library import WORLDS
 from ullage.world.section import section
 from ullage.worlds import KINDS, flight, random
 
 FOLDER = Path("docs/pictures/worlds")
+VIEWS: dict[str, dict[str, Any]] = pictures.VIEWS | {
+    "ballast-tank": {"elevation_deg": 20, "azimuth_deg": -48, "cut_side_m": (2.6, 1.3), "plan_height_m": 2.8},
+    "lying-tank": {"elevation_deg": 22, "azimuth_deg": -70, "cut_side_m": (0.0, 1.6), "plan_height_m": 2.0},
+    "pipe-rack": {"elevation_deg": 38, "azimuth_deg": -60, "cut_height_m": 5.9, "plan_height_m": 2.6},
+    "sewer": {"elevation_deg": 35, "azimuth_deg": -55, "cut_height_m": 2.5, "plan_height_m": 1.8},
+    "silo": {"elevation_deg": 18, "azimuth_deg": -90, "cut_side_m": (0.0, 2.4), "plan_height_m": 7.0},
+}
+"""Views of the shipped worlds."""
 
 
 def random_worlds_picture(file: Path, *, seed: int = 2) -> None:
@@ -22,9 +32,9 @@ def random_worlds_picture(file: Path, *, seed: int = 2) -> None:
         file: PNG to write.
         seed: of the worlds and flights.
     """
-    figure = Figure(figsize=(9.5, 7.0), layout="constrained")
-    axes = figure.subplots(3, 4)
-    for kind, one in zip(KINDS, axes.flat, strict=False):
+    figure = Figure(figsize=(11.5, 7.0), layout="constrained")
+    axes = figure.subplots(3, 5)
+    for kind, one in zip(KINDS, axes.flat[: len(KINDS)], strict=True):
         scene, path = random(kind, seed), flight(kind, seed)
         level = float(path.position[:, 2].mean())
         one.add_collection(LineCollection(list(section(scene, level)), colors="black", linewidths=0.9))

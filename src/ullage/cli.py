@@ -448,7 +448,7 @@ def list_(
 ) -> None:
     """List scenarios, worlds, radars and runs."""
     from ullage.errors import InputError
-    from ullage.experiments.catalog import suggestion
+    from ullage.experiments.catalog import families, suggestion
     from ullage.experiments.folder import RUNS
     from ullage.specs import RadarSpec, Rig
     from ullage.view.progress import answer
@@ -464,7 +464,8 @@ def list_(
         case "":
             _list_families()
             rigs = f"Radars: {', '.join(RadarSpec.names())}\nRigs: {', '.join(Rig.presets)}"
-            answer(f"\nWorlds: {', '.join(WORLDS)}\n{rigs}")
+            more = ", ".join(name for name in WORLDS if name not in families())
+            answer(f"\nWorlds: {more}, and one for each scenario: ullage list worlds\n{rigs}")
             _list_runs(out or RUNS, most=NEWEST)
         case _:
             tables = ("scenarios", "worlds", "runs")

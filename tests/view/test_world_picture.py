@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.view.world_picture import VIEWS, world_picture
+from ullage.view.world_picture import world_picture
 from ullage.world.library import WORLDS
 from ullage.world.scene import Scene
+from world_pictures import VIEWS
 
 RED, GREEN, BLUE = "#ff0000", "#00ff00", "#0000ff"
 

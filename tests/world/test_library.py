@@ -13,6 +13,7 @@ import trimesh
 from lxml import etree
 
 import ullage as ul
+from ullage.radar.checks import check
 from ullage.world.library import WORLDS, WORLDS_DIR
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -20,7 +21,6 @@ from ullage.world.sdf_parse import NAMESPACE
 from write_worlds import regenerated
 
 NAMES = list(WORLDS)
-ROOMS = [name for name in NAMES if name.startswith("ntnu")]
 
 
 @cache
@@ -115,11 +115,7 @@ def test_geometry_is_sound(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_path_keeps_its_distance(name):
     world = WORLDS[name]
-    points = track(name)
-    assert clearance(scene_of(name), points) >= 0.8
-    low, high = np.array(world.bounds)
-    assert (points >= low).all()
-    assert (points <= high).all()
+    assert clearance(scene_of(name), track(name)) >= 0.8
     assert world.start == world.path_xyzyaw[0]
 
 
@@ -127,17 +123,21 @@ def test_clearance_would_notice():
     assert clearance(scene_of("ntnu-plate"), np.array([[-0.4, 0.0, 1.1]])) == pytest.approx(0.3985)
 
 
-@pytest.mark.parametrize("name", ROOMS)
-def test_room_is_shut(name):
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "cargo-hold"])  # its hatch is open
+def test_world_is_shut(name):
     rng = np.random.default_rng(5)
     rays = rng.normal(size=(20_000, 3))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     start = np.array(WORLDS[name].start[:3])
     _, distance = Raycaster(scene_of(name)).hits(np.broadcast_to(start, rays.shape), rays)
     assert np.isfinite(distance).all()
-    ends = start + distance[:, None] * rays
-    assert (ends >= [-4.001, -3.121, -0.001]).all()
-    assert (ends <= [4.001, 3.121, 3.001]).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_radar_finds_no_fault_with_the_meshes(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check(scene_of(name), ul.Trajectory.stationary(WORLDS[name].start[:3]), {})
 
 
 def test_openings_are_gaps_with_their_own_stuff_set_back():

@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 import ullage as ul
 from ullage.errors import InputError
 from ullage.world.library import WORLDS
+from ullage.world.random_worlds import plan
 from ullage.world.raycast import Raycaster
 
 SEEDS = (0, 1)
@@ -31,6 +32,16 @@ def test_a_flight_keeps_clear_of_the_world_it_is_drawn_for(kind):
             assert tree.query(path.position)[0].min() > 0.2, (kind, seed, volume)
 
 
+@pytest.mark.parametrize("kind", ["web-frames", "tunnel"])
+def test_every_seed_leaves_a_way_from_end_to_end(kind):
+    for seed in range(20):
+        made = plan(kind, seed)
+        area, whole = made.open_area.buffer(-0.7), made.footprint.buffer(-0.7)
+        assert area.geom_type == "Polygon", seed  # the openings of all web frames join the bays
+        assert area.bounds == pytest.approx(whole.bounds)
+        assert len(ul.worlds.flight(kind, seed)) > 50
+
+
 @pytest.mark.parametrize("kind", ul.worlds.KINDS)
 def test_frames_lie_two_to_ten_centimetres_apart(kind):
     for seed in SEEDS:
@@ -44,7 +55,7 @@ def test_frames_lie_two_to_ten_centimetres_apart(kind):
 def test_a_closed_world_has_no_way_out(kind):
     for seed in SEEDS:
         scene, path = ul.worlds.random(kind, seed), ul.worlds.flight(kind, seed)
-        ray = np.random.default_rng(seed).normal(size=(400, 3))
+        ray = np.random.default_rng(seed).normal(size=(4000, 3))
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
         eye = np.repeat(path.position[len(path) // 2][None], len(ray), 0)
         distance = Raycaster(scene).distances(eye, ray)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from shipped_worlds.bodies import car, person, robot
 from shipped_worlds.furniture import control_panel, dumpster, postbox, stop_sign
+from shipped_worlds.plant import ballast_tank, lying_tank, pipe_rack, sewer, silo
 from shipped_worlds.rooms import Opening, cameras, plate_parts, pole_parts, room_parts, wire_parts
 from ullage.world.hold import HoldPlan, hold_parts
 from ullage.world.solids import Part, Solid
@@ -86,9 +88,16 @@ def cargo_hold() -> list[Model]:
     return apart(hold_parts(HoldPlan()))
 
 
+def _each_apart(make: Callable[[], list[Solid]]) -> list[Model]:
+    return apart(make())
+
+
 BUILDERS: dict[str, Callable[[], list[Model]]] = {
     make.__name__.replace("_", "-"): make
     for make in (
         ntnu_room, ntnu_plate, ntnu_plate45, ntnu_pole, ntnu_wire, ntnu_mapping, cluttered_room, cargo_hold,
     )
+} | {
+    make.__name__.replace("_", "-"): partial(_each_apart, make)
+    for make in (ballast_tank, lying_tank, pipe_rack, sewer, silo)
 }  # fmt: skip

@@ -16,14 +16,14 @@ from ullage.world.solids import Part, Rod, Solid
 
 RETRO = {
     "steel": 1.0, "pec": 1.0, "aluminium": 1.0, "concrete": 0.5, "wood": 0.3, "glass": 0.4, "plastic": 0.2,
-    "rubber": 0.2, "skin": 0.6,
+    "rubber": 0.2, "skin": 0.6, "water": 0.8,
 }  # fmt: skip
 """Reflection coefficients of the thesis' model; it has none in print but asks for steel strongest, wood weak."""
 
 DIFFUSE = {
     "steel": "0.56 0.64 0.71 1", "concrete": "0.82 0.80 0.76 1", "wood": "0.72 0.55 0.36 1",
     "glass": "0.62 0.83 0.90 0.35", "plastic": "0.93 0.93 0.90 1", "rubber": "0.15 0.15 0.16 1",
-    "skin": "0.85 0.62 0.50 1",
+    "skin": "0.85 0.62 0.50 1", "water": "0.35 0.50 0.60 1",
 }  # fmt: skip
 
 _HEAD = """<?xml version="1.0"?>

@@ -6,6 +6,7 @@ import difflib
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,7 +17,7 @@ from ullage.world.sdf_resolve import SEARCH_VARIABLES, search_folders
 FOLDER = Path(__file__).parent / "scenarios"
 CLOSE = 0.6
 """Least likeness of a name to one that is suggested in its place, 0 to 1."""
-_PARTS = re.compile(r"(?P<law>-physical)|(?P<hand>-by-hand)|-(?P<cells>\d+cm)$")
+_PARTS = re.compile(r"-physical|(?P<hand>-by-hand)|-(?P<cells>\d+cm)$")
 
 Law = Literal["thesis", "physical"]
 LAWS: tuple[Law, ...] = ("thesis", "physical")
@@ -31,12 +32,13 @@ class Variant:
     by_hand: bool = False
     cells: str = ""  # size of the map's cells, where the name has one
 
-    @classmethod
-    def of(cls, name: str) -> Variant:
-        """Split a scenario's name into family, law, hand and cells."""
+    @staticmethod
+    @cache
+    def of(name: str) -> Variant:
+        """Return the family, law, hand and cells of a shipped scenario."""
         parts = {match.lastgroup: match[match.lastgroup or 0] for match in _PARTS.finditer(name)}
-        law = "physical" if "law" in parts else "thesis"
-        return cls(_PARTS.sub("", name), law, "hand" in parts, parts.get("cells", ""))
+        law = find_scenario(name).sensing.fidelity
+        return Variant(_PARTS.sub("", name), law, "hand" in parts, parts.get("cells", ""))
 
     @property
     def words(self) -> str:

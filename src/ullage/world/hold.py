@@ -278,15 +278,15 @@ def vertical_ladder(plan: HoldPlan) -> list[Part]:
     face = -plan.length_m / 2 + plan.corrugation_m / 2
     y, stand = -0.3 * plan.hatch_half_m, 0.3
     top, knee = plan.height_m, plan.lower_stool_m
-    upper = moved(_ladder(top - knee), (face + stand, y, knee))
+    upper = moved(ladder(top - knee), (face + stand, y, knee))
     lean = math.atan2(plan.stool_foot_m, plan.lower_stool_m)
     span = math.hypot(plan.stool_foot_m, plan.lower_stool_m)
-    lower = moved(_ladder(span - 0.05), pitch_deg=-math.degrees(lean))
+    lower = moved(ladder(span - 0.05), pitch_deg=-math.degrees(lean))
     lower = moved(lower, (face + plan.stool_foot_m + stand, y, 0.03))
     return [Part("ladder_aft", "steel", clean(join(upper, lower)))]
 
 
-def _ladder(height: float) -> Shape:
+def ladder(height: float) -> Shape:
     """Two flat bars 65 x 10 mm, 0.4 m apart along y, and square rungs of 22 mm."""
     rails = [block((-0.0325, s * 0.2 - 0.005, 0), (0.0325, s * 0.2 + 0.005, height)) for s in (-1, 1)]
     levels = np.arange(RUNG_PITCH_M, height - 0.05, RUNG_PITCH_M)
@@ -312,7 +312,7 @@ def inclined_ladder(plan: HoldPlan) -> list[Part]:
         near, far = sorted((ends[1], ends[1] + out * 0.8))
         pieces.append(block((x0, near, level - 0.03), (back - 0.02, far, level)))
         pieces += _railing(x0, near, far, level)
-    top = moved(_ladder(plan.height_m - flights * rise), (x1 + 0.3, y0 + (run if flights % 2 else 0), flights * rise))
+    top = moved(ladder(plan.height_m - flights * rise), (x1 + 0.3, y0 + (run if flights % 2 else 0), flights * rise))
     return [Part("ladder_forward", "steel", clean(join(*pieces, top)))]
 
 

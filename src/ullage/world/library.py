@@ -1,10 +1,11 @@
-"""Shipped worlds: their files, and the start, bounds and missions of flights in them.
+"""Shipped worlds: their files, and a flight in each.
 
 `python tools/write_worlds.py` of the repository writes the files.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +15,6 @@ WORLDS_DIR = Path(__file__).parents[1] / "worlds"
 """Where the shipped .sdf files and their meshes lie."""
 
 Waypoint = tuple[float, float, float, float]  # x, y, z [m], yaw [deg]
-Corner = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,8 +24,6 @@ class World:
     name: str
     title: str
     path_xyzyaw: tuple[Waypoint, ...]  # waypoints x, y, z [m], yaw [deg]
-    bounds: tuple[Corner, Corner]  # corners of the box to fly in [m]
-    floor_m: float = 0.0  # height of the floor [m]
 
     @property
     def path(self) -> Path:
@@ -44,7 +42,6 @@ class World:
         return load_scene(self.path)
 
 
-_ROOM_BOX = ((-3.2, -2.2, 0.8), (3.2, 2.2, 2.2))
 _STRAFE = ((-2.2, -1.9, 1.1, 0.0), (-2.2, 1.9, 1.1, 0.0))
 _ROUND = (
     (-2.8, -1.9, 1.1, 0.0), (0.2, -1.9, 1.1, 0.0), (0.2, -1.9, 1.1, 90.0), (0.2, 1.9, 1.1, 90.0),
@@ -58,27 +55,49 @@ _HOLD = (
     (-11.5, -7.0, 4.0, 0.0), (11.0, -7.0, 4.0, 0.0), (11.0, -7.0, 4.0, 90.0), (11.0, 7.0, 4.0, 90.0),
     (11.0, 7.0, 4.0, 180.0), (-11.5, 7.0, 4.0, 180.0), (-11.5, 7.0, 4.0, 270.0), (-11.5, -6.0, 4.0, 270.0),
 )  # fmt: skip
+_WEBS = tuple((3.2 * k - 6.4, y, 2.8, 0.0) for k in range(5) for y in (0.0, 1.2, -1.2, 0.0))
+_TANK = (
+    (-3.6, -1.05, 2.0, 0.0), (3.8, -1.05, 2.0, 0.0), (3.8, -1.05, 2.0, 90.0), (3.8, 1.05, 2.0, 90.0),
+    (3.8, 1.05, 2.0, 180.0), (-3.6, 1.05, 2.0, 180.0), (-3.6, 1.05, 2.0, 270.0), (-3.6, -0.9, 2.0, 270.0),
+)  # fmt: skip
+_RACK = (
+    (-6.4, -2.9, 2.6, 0.0), (6.4, -2.9, 2.6, 0.0), (6.4, -2.9, 2.6, 90.0), (6.4, 2.9, 2.6, 90.0),
+    (6.4, 2.9, 2.6, 180.0), (-6.4, 2.9, 2.6, 180.0), (-6.4, 2.9, 2.6, 270.0), (-6.4, -1.9, 2.6, 270.0),
+)  # fmt: skip
+_SEWER = (
+    (1.2, -0.6, 1.8, 0.0), (4.5, 0.6, 1.8, 0.0), (8.0, -0.6, 1.8, 0.0), (10.7, 1.3, 1.8, 30.0),
+    (13.7, 2.7, 1.8, 60.0), (14.2, 5.9, 1.8, 60.0), (16.6, 7.7, 1.8, 60.0),
+)  # fmt: skip
+_SILO = tuple(
+    (round(1.8 * math.cos(math.radians(a)), 3), round(1.8 * math.sin(math.radians(a)), 3), 7.0, a + 90.0)
+    for a in range(-180, 181, 30)
+)
 
 WORLDS: dict[str, World] = {
     world.name: world
     for world in (
-        World("ntnu-room", "Motion-capture room at NTNU, 8 x 6 x 3 m, with a door and windows", _ROUND, _ROOM_BOX),
-        World("ntnu-plate", "The room with a steel plate in its middle", _STRAFE, _ROOM_BOX),
-        World("ntnu-plate45", "The room with the plate turned by 45 deg", _STRAFE, _ROOM_BOX),
-        World("ntnu-pole", "The room with a square steel pole on a wooden box", _STRAFE, _ROOM_BOX),
-        World("ntnu-wire", "The room with a steel wire against a plastic half-pipe", _STRAFE, _ROOM_BOX),
-        World("ntnu-mapping", "The room with a plate toward one end, for mapping", _ROUND, _ROOM_BOX),
+        World("ntnu-room", "Motion-capture room at NTNU, 8 x 6 x 3 m, with a door and windows", _ROUND),
+        World("ntnu-plate", "The room with a steel plate in its middle", _STRAFE),
+        World("ntnu-plate45", "The room with the plate turned by 45 deg", _STRAFE),
+        World("ntnu-pole", "The room with a square steel pole on a wooden box", _STRAFE),
+        World("ntnu-wire", "The room with a steel wire against a plastic half-pipe", _STRAFE),
+        World("ntnu-mapping", "The room with a plate toward one end, for mapping", _ROUND),
         World(
             "cluttered-room",
             "Hall of 12 x 10 m with car, postbox, stop sign, person, robot, control panel and dumpster",
             _HALL,
-            ((-5.2, -4.2, 0.8), (5.2, 4.2, 3.2)),
         ),
         World(
             "cargo-hold",
             "Bulk carrier's hold, 30 x 20 x 12 m, with frames, slopes, corrugated bulkheads, ladders, pipes, a wire",
             _HOLD,
-            ((-13.0, -8.8, 0.8), (12.0, 8.8, 11.0)),
         ),
+        World(
+            "ballast-tank", "Wing ballast tank, 16 x 4.8 x 5.6 m, with four web frames, openings, longitudinals", _WEBS
+        ),
+        World("lying-tank", "Lying steel tank, 4 m wide and 11 m long, with manhole, ladder and dip pipe", _TANK),
+        World("pipe-rack", "Hall of 16 x 9 x 6 m with eleven pipes on the two levels of a rack", _RACK),
+        World("sewer", "Bent concrete sewer, 3.6 m wide, with a channel, two inlets and a shaft", _SEWER),
+        World("silo", "Steel silo, 6 m wide and 11 m high, with hopper, ladder and fill pipe", _SILO),
     )
 }

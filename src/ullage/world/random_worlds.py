@@ -23,6 +23,7 @@ from ullage.arrays import Floats
 from ullage.config import split_source
 from ullage.errors import InputError
 from ullage.world import shapes
+from ullage.world.enclosures import Tunnel, WebTank, bent_line, tunnel_parts, web_tank_parts
 from ullage.world.materials import material
 from ullage.world.scene import Scene
 from ullage.world.shapes import Shape
@@ -30,7 +31,7 @@ from ullage.world.solids import Part, Rod, Solid, block, clean, flat, join, move
 
 TUNING = ("room", "corridor", "tank", "machines", "shelves")
 """Kinds on which thresholds may be chosen."""
-TESTING = ("polygon", "pillars", "hopper", "lying-tank", "office", "open")
+TESTING = ("polygon", "pillars", "hopper", "lying-tank", "office", "open", "web-frames", "tunnel")
 """Kinds on which methods are judged."""
 KINDS = (*TUNING, *TESTING)
 
@@ -297,6 +298,40 @@ def _lying_tank(made: Plan) -> None:
     made.footprint = _rectangle(length, 2 * half)
 
 
+def _web_frames(made: Plan) -> None:
+    """A tank whose web frames leave openings that are wide enough to fly through."""
+    from shapely import box, union_all
+
+    rng = made.rng
+    spacing, width, height = rng.uniform((2.6, 4.2, 3.6), (3.8, 6.0, 5.6))
+    tank = WebTank(
+        int(rng.integers(3, 6)), spacing, width, height, tuple(rng.uniform((1.7, 1.7), (2.1, 2.2))),
+        spacing_m=rng.uniform(0.65, 0.9), depth_m=rng.uniform(0.15, 0.3),
+    )  # fmt: skip
+    made.parts += web_tank_parts(tank)
+    room = tank.opening_m[1] / 2 - 2 * MARGIN_M
+    made.band_m = (height / 2 - room, height / 2 + room)
+    made.footprint = _rectangle(tank.length_m, width - 2 * tank.depth_m)
+    webs = union_all([box(x - tank.face_m / 2, -width / 2, x + tank.face_m / 2, width / 2) for x in tank.webs_m])
+    made.obstacles.append((webs - _rectangle(tank.length_m, tank.opening_m[0]), 0.0, height))
+
+
+def _tunnel(made: Plan) -> None:
+    """A round tunnel with one bend, a floor and a channel in it."""
+    from shapely import LineString
+
+    rng = made.rng
+    radius, floor = rng.uniform(1.7, 2.6), rng.uniform(0.2, 0.35)
+    bend, before, after = rng.choice([-1, 1]) * np.radians(rng.uniform(25, 90)), *rng.uniform(4.0, 9.0, 2)
+    line = bent_line(before, rng.uniform(2.0, 3.0) * radius, bend, after)
+    channel = tuple(rng.uniform((0.3, 0.2), (0.5, 0.5)) * (radius, floor * radius))
+    one = Tunnel(line, radius, floor * radius, channel, 2 * SEGMENT_M, made.pick(("concrete", "brick", "steel")))
+    made.parts += tunnel_parts(one)
+    off = rng.uniform(0.05, 0.2) * radius
+    made.band_m = (radius - off, radius + off)
+    made.footprint = LineString(line).buffer(np.sqrt(radius**2 - (off + MARGIN_M) ** 2), cap_style="flat")
+
+
 def _seen_from_within(mesh: Shape) -> Shape:
     """A closed body whose faces look inward."""
     return mesh[0], np.ascontiguousarray(mesh[1][:, ::-1])
@@ -504,4 +539,6 @@ _BUILDERS: dict[str, Callable[[Plan], None]] = {
     "lying-tank": _lying_tank,
     "office": _office,
     "open": _open,
+    "web-frames": _web_frames,
+    "tunnel": _tunnel,
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -201,6 +202,71 @@ def flat(polygon: Any, place: Callable[[Floats], Floats]) -> Shape:
         tri[area < 0] = tri[area < 0][:, ::-1]
         out.append((place(points), tri[abs(area) > 1e-10]))
     return join(*out)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skin:
+    """A sheet through a lattice of points, which may have holes; between four of them it is flat, or two triangles.
+
+    Args:
+        u: rising coordinates of the lattice along its first axis (k).
+        v: along its second (m); the sheet faces the side from which u turns to v by the left.
+        points: where they lie (k, m, 3) [m].
+    """
+
+    u: Floats
+    v: Floats
+    points: Floats
+
+    def place(self, uv: Floats) -> Floats:
+        """Points (n, 3) of the sheet [m] at coordinates (n, 2)."""
+        from scipy.interpolate import RegularGridInterpolator
+
+        return np.asarray(RegularGridInterpolator((self.u, self.v), self.points)(uv))
+
+    def mesh(self, holes: Sequence[Any] = ()) -> Shape:
+        """The sheet without holes: shapely polygons in (u, v)."""
+        from shapely import box, intersects, union_all
+
+        gone = union_all(list(holes))
+        low, high = (np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1)
+                     for ends in ((self.u[:-1], self.v[:-1]), (self.u[1:], self.v[1:])))  # fmt: skip
+        cells = box(low[..., 0], low[..., 1], high[..., 0], high[..., 1])
+        cut = intersects(gone, cells)
+        at = np.arange(self.points[..., 0].size).reshape(self.points.shape[:2])
+        quads = np.stack([at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]], axis=-1)[~cut]
+        whole = self.points.reshape(-1, 3), np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)
+        return clean(join(whole, *(flat(cell - gone, self.place) for cell in cells[cut] if not gone.covers(cell))))
+
+    def neck(self, hole: Any, outward: ArrayLike) -> Shape:
+        """A closed pipe that goes from the rim of a hole as far as `outward` (3) [m], to a level end."""
+        corners = np.asarray(hole.exterior.coords)
+        rim = []
+        for a, b in itertools.pairwise(corners):  # the rim bends where it crosses a line of the lattice
+            cuts = [(k - a[i]) / (b[i] - a[i]) for i, at in enumerate((self.u, self.v)) for k in at
+                    if (a[i] - k) * (b[i] - k) < 0]  # fmt: skip
+            rim += [a + share * (b - a) for share in [0.0, *sorted(cuts)]]
+        near, step = self.place(np.array(rim)), np.asarray(outward, float)
+        length = float(np.linalg.norm(step))
+        along = near @ step / length
+        far = near + np.outer((along.max() + length - along) / length, step)
+        return loft([near, far, np.broadcast_to(far.mean(0), far.shape)], caps=False)
+
+
+def revolved(radius_m: ArrayLike, along_m: ArrayLike, segment_m: float) -> Skin:
+    """A round body about z, seen from within: u runs to the right round its widest ring from +x [m], v up its profile.
+
+    Args:
+        radius_m: of the profile's points (m) [m].
+        along_m: their heights (m) [m].
+        segment_m: longest chord of a facet [m].
+    """
+    radius, height = np.asarray(radius_m, float), np.asarray(along_m, float)
+    turn = np.linspace(0, 2 * np.pi, 4 * math.ceil(np.pi / 2 * radius.max() / segment_m) + 1)
+    ring = np.stack([np.cos(turn), -np.sin(turn)], axis=1)
+    rings = [np.column_stack([r * ring, np.full(len(ring), z)]) for r, z in zip(radius, height, strict=True)]
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(radius), np.diff(height)))])
+    return Skin(turn * radius.max(), along, np.stack(rings, axis=1))
 
 
 def clean(mesh: Shape, *, decimals: int = 4) -> Shape:
