@@ -99,7 +99,7 @@ def test_a_world_file_alone_is_flown_by_default(name: str, tmp_path: Path, capsy
     assert (again.returncode, "this run exists" in again.stderr) == (2, True)  # the file holds the whole run
 
 
-def test_arguments_of_xacro_are_part_of_the_run(
+def test_arguments_of_xacro_and_waypoints_that_are_given_are_part_of_the_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ULLAGE_TRUST_XACRO", "0")  # which the option sets, and which is put back after the test
@@ -109,8 +109,10 @@ def test_arguments_of_xacro_are_part_of_the_run(
     words = ("--trust-xacro", "--xacro", "h:=4", *QUICK, "-o", "flight.waypoints=[[-1, 0, 0], [1, 0, 0]]")
     told = Told(("run", "room.xacro", *words), tmp_path, capsys)
     assert told.returncode == 0, told.stderr
+    assert "default flight" not in told.stdout
     kept = yaml.safe_load((tmp_path / "runs" / "latest" / "scenario.yaml").read_text())
     assert (kept["name"], kept["world"]["file"]) == ("room", "room.xacro?h:=4")
+    assert kept["flight"]["waypoints"] == [[-1, 0, 0], [1, 0, 0]]
     again = Told(("run", "runs/latest/scenario.yaml", "--xacro", "h:=5"), tmp_path, capsys)
     assert (again.returncode, "world.file: robot.xacro?NAME:=VALUE" in again.stderr) == (2, True)
 
@@ -122,18 +124,6 @@ def write_world(path: Path) -> None:
         return
     scene = ul.scenes.room(size_m=(6, 4, 3))
     trimesh.Trimesh(scene.vertices, scene.faces, process=False).export(path)
-
-
-def test_waypoints_that_are_given_replace_the_default_flight(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_world(tmp_path / "room.obj")
-    given = "flight.waypoints=[[-1, 0, 0], [1, 0, 0]]"
-    told = Told(("run", "room.obj", *QUICK, "-o", given), tmp_path, capsys)
-    assert told.returncode == 0, told.stderr
-    assert "default flight" not in told.stdout
-    kept = yaml.safe_load((tmp_path / "runs" / "latest" / "scenario.yaml").read_text())
-    assert kept["flight"]["waypoints"] == [[-1, 0, 0], [1, 0, 0]]
 
 
 def test_a_world_without_shapes_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

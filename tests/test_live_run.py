@@ -175,19 +175,13 @@ def test_the_status_says_what_is_left_out_on_diagnostics() -> None:
     assert {"behind [s]", "frames left out"} <= {pair.key for pair in read.values}
 
 
-@pytest.fixture
-def ctrl_c() -> Iterator[Callable[[], None]]:
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
-    yield lambda: os.kill(os.getpid(), signal.SIGINT)
-    signal.signal(signal.SIGINT, before)
-
-
-def test_the_first_ctrl_c_works_off_what_was_received(ctrl_c: Callable[[], None]) -> None:
+@pytest.mark.usefixtures("heeded_signals")
+def test_the_first_ctrl_c_works_off_what_was_received() -> None:
     kept, stage = Kept(), Map()
     port = Port()
 
     def interrupt() -> None:
-        ctrl_c()
+        os.kill(os.getpid(), signal.SIGINT)
         stage.gate.set()
         until(lambda: port.stopping)
 
@@ -201,14 +195,15 @@ def test_the_first_ctrl_c_works_off_what_was_received(ctrl_c: Callable[[], None]
     assert done.results == ("the map",)
 
 
-def test_the_second_ctrl_c_ends_it_and_says_how_much_is_left_out(ctrl_c: Callable[[], None]) -> None:
+@pytest.mark.usefixtures("heeded_signals")
+def test_the_second_ctrl_c_ends_it_and_says_how_much_is_left_out() -> None:
     stage, port = Map(), Port()
     port.before[1] = lambda: until(stage.begun.is_set)
 
     def twice() -> None:
         flag: Any = getattr(signal.getsignal(signal.SIGINT), "__self__", None)
         for count in (1, 2):  # signals of one kind that come before the first is handled are one
-            ctrl_c()
+            os.kill(os.getpid(), signal.SIGINT)
             until(lambda count=count: flag.count == count)
         stage.gate.set()
 

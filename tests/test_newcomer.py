@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import csv
 import runpy
-import subprocess
-import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import ullage as ul
+from ullage.cli import app
 
 SHORT = """title: A short flight
 world: {file: plate.stl}
@@ -43,13 +43,11 @@ endsolid plate
 """
 
 
-def ullage(folder: Path, *words: str) -> str:
-    """Run the command in a folder; return what it prints."""
-    done = subprocess.run(
-        [sys.executable, "-m", "ullage", *words], check=False, cwd=folder, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout + done.stderr
+def ullage(folder: Path, *words: str) -> None:
+    """Run the command in a folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert CliRunner().invoke(app, words).exit_code == 0
 
 
 @pytest.fixture(scope="module")

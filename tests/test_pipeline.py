@@ -73,15 +73,7 @@ class Foreign:
         return []
 
 
-@pytest.fixture
-def ctrl_c() -> Iterator[None]:
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
-    yield
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.usefixtures("ctrl_c")
+@pytest.mark.usefixtures("heeded_signals")
 def test_ctrl_c_ends_a_run_after_the_piece_under_way() -> None:
     frames, kept, stage = thesis_frames(), Kept(), Foreign()
     outcome = ul.run(InMemorySource(frames, size=7), stages=[stage, DetectStage()], sinks=[kept])
@@ -90,7 +82,7 @@ def test_ctrl_c_ends_a_run_after_the_piece_under_way() -> None:
     assert kept.closed
 
 
-@pytest.mark.usefixtures("ctrl_c")
+@pytest.mark.usefixtures("heeded_signals")
 @pytest.mark.parametrize("flagged", [False, True])
 def test_an_error_that_foreign_code_makes_of_ctrl_c_ends_a_command_as_ctrl_c_does(
     flagged: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -109,7 +101,7 @@ def test_an_error_that_foreign_code_makes_of_ctrl_c_ends_a_command_as_ctrl_c_doe
     assert capsys.readouterr().err == "ullage: interrupted\n"
 
 
-@pytest.mark.usefixtures("ctrl_c")
+@pytest.mark.usefixtures("heeded_signals")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_the_first_signal_sets_the_flag_and_the_second_raises(number: signal.Signals) -> None:
     with stop_as_ctrl_c(), StopFlag() as stop:

@@ -78,26 +78,38 @@ def steel_floor(scene: Scene) -> Scene:
 
 # --- baseline: every term of the ray model, of Elfes' grid and of the apex
 
-BASELINE = Section("baseline", "baseline", lambda work, _: baseline.run(work), (
-    Mutant("eq. 4.2 without its cosine", ("turned by 45 deg",), term(cosine=0.0)),
-    Mutant("eq. 4.2 without its range", ("the ray's area grows",), term(spread=0.0)),
-    Mutant("eq. 4.2 with the range once", ("the ray's area grows",), term(spread=1.0)),
-    Mutant("eq. 4.2 without the coefficient", ("a wooden plate",), term(coefficient=False)),
-    Mutant("ranges 0.25 m too long", ("lie at their ranges",), ranges_too_long),
-    Mutant("rays over 20 deg", ("rays: headings between",), rays_as(fov_deg=20.0)),
-    Mutant("Elfes' lobe of 20 deg", ("part of the circle", "cell by cell"), lobe(20.0)),
-    Mutant("no moving average", ("local maxima", "white noise"), no_average),
-    Mutant("no noise", ("white noise",), no_noise),
-    Mutant("an axis that ends at 9.61 m", ("at 9.7 m, within R_max",), short_axis),
-    Mutant("no maximum range", ("at 10.3 m, beyond R_max",), no_max_range),
-    Mutant("more than three times as many rays a side", ("no ray meets the post",), rays_as(rays_per_side=100)),
-    Mutant("no cancelling by emptiness", ("cell by cell",), elfes_as(cancel=False)),
-    Mutant("no normalising", ("cell by cell",), elfes_as(normalise=False)),
-    Mutant("densities flat across the lobe", ("cell by cell",), elfes_as(flat=True)),
-    Mutant("nothing is ever occupied", ("more likely occupied",), elfes_as(arc=False)),
-    Mutant("a parabola for the hyperbola", ("the apex of the fitted hyperbola",), parabola),
-    Mutant("an apex 0.25 m too far", ("the apex of the fitted hyperbola",), far_apex),
-))  # fmt: skip
+
+def part_of_baseline(name: str, part: Callable[[Workspace], None], *mutants: Mutant) -> Section:
+    """Statements of one part of the baseline: a mutant is put into no other."""
+    return Section(name, "baseline", lambda work, _: part(work), mutants)
+
+
+BASELINE = (
+    part_of_baseline("baseline: eq. 4.2", baseline.intensity,
+        Mutant("eq. 4.2 without its cosine", ("turned by 45 deg",), term(cosine=0.0)),
+        Mutant("eq. 4.2 without its range", ("the ray's area grows",), term(spread=0.0)),
+        Mutant("eq. 4.2 with the range once", ("the ray's area grows",), term(spread=1.0)),
+        Mutant("eq. 4.2 without the coefficient", ("a wooden plate",), term(coefficient=False)),
+        Mutant("ranges 0.25 m too long", ("lie at their ranges",), ranges_too_long),
+        Mutant("no moving average", ("local maxima", "white noise"), no_average),
+        Mutant("no noise", ("white noise",), no_noise)),
+    part_of_baseline("baseline: R_max", baseline.axis,
+        Mutant("an axis that ends at 9.61 m", ("at 9.7 m, within R_max",), short_axis),
+        Mutant("no maximum range", ("at 10.3 m, beyond R_max",), no_max_range)),
+    part_of_baseline("baseline: openings", baseline.opening,
+        Mutant("rays over 20 deg", ("rays: headings between",), rays_as(fov_deg=20.0)),
+        Mutant("Elfes' lobe of 20 deg", ("part of the circle",), lobe(20.0)),
+        Mutant("more than three times as many rays a side", ("no ray meets the post",), rays_as(rays_per_side=100))),
+    part_of_baseline("baseline: readings", baseline.readings,
+        Mutant("Elfes' lobe of 20 deg", ("cell by cell",), lobe(20.0)),
+        Mutant("no cancelling by emptiness", ("cell by cell",), elfes_as(cancel=False)),
+        Mutant("no normalising", ("cell by cell",), elfes_as(normalise=False)),
+        Mutant("densities flat across the lobe", ("cell by cell",), elfes_as(flat=True)),
+        Mutant("nothing is ever occupied", ("more likely occupied",), elfes_as(arc=False))),
+    part_of_baseline("baseline: apex", baseline.vertex,
+        Mutant("a parabola for the hyperbola", ("the apex of the fitted hyperbola",), parabola),
+        Mutant("an apex 0.25 m too far", ("the apex of the fitted hyperbola",), far_apex)),
+)  # fmt: skip
 
 
 # --- detection: four targets, flown past and alone

@@ -43,7 +43,7 @@ def statements(page: str) -> Iterator[tuple[str, str, str]]:
 
 def breaking(experiment: str, text: str) -> list[str]:
     """Errors that break a statement."""
-    sections = [one for one in (BASELINE, *SECTIONS) if one.experiment == experiment]
+    sections = [one for one in (*BASELINE, *SECTIONS) if one.experiment == experiment]
     found = [mutant.name for one in sections for mutant in one.mutants if any(words in text for words in mutant.fells)]
     return list(dict.fromkeys(found))
 

@@ -260,6 +260,7 @@ def same_arrays(one: Path, other: Path) -> bool:
     )
 
 
+@pytest.mark.usefixtures("heeded_signals")
 def test_ctrl_c_ends_a_data_set_at_once_and_a_full_disk_is_one_line(tmp_path: Path) -> None:
     """Files may not grow beyond 64 kB at first, which the system reports as it does a full disk."""
 

@@ -111,6 +111,7 @@ def test_the_same_seed_gives_the_same_flight_and_frames_carry_its_believed_poses
     assert all(given)
 
 
+@pytest.mark.usefixtures("heeded_signals")
 def test_ctrl_c_ends_the_flight_in_order() -> None:
     def stop(words: str) -> None:
         signal.raise_signal(signal.SIGINT)

@@ -42,7 +42,7 @@ LONG = ("-o", "sensing.rate_hz=400", "-o", "map.step_m=0.02", "-o", "flight.spee
 
 
 @pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, heeded_signals: None) -> Path:
     (tmp_path / "wall.sdf").write_text(WALL)
     (tmp_path / "plan.yaml").write_text(PLAN)
     monkeypatch.chdir(tmp_path)
@@ -244,10 +244,8 @@ def test_doctor_knows_what_a_recording_takes(tmp_path: Path, fidelity: str, samp
 
 def started(*words: str, ready: Callable[[], bool]) -> subprocess.Popen[str]:
     """A command in a process of its own, once it is as far as that."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
     command = [sys.executable, "-m", "ullage", *words]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    signal.signal(signal.SIGINT, before)
     until = time.monotonic() + 120
     while not ready() and process.poll() is None and time.monotonic() < until:
         time.sleep(0.02)

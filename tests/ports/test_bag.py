@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import assert_same, some_frames, tumbling
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.records import Channel, Chunk, Message, Schema
@@ -19,6 +18,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 import ullage as ul
+from conftest import assert_same, some_frames, tumbling
 from ullage.data import Calibration, joined
 from ullage.ports import conversions
 from ullage.ports import schema as ros

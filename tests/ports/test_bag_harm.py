@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from io import BytesIO
@@ -17,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import assert_same, some_frames
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.exceptions import EndOfFile
@@ -28,6 +26,7 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from test_bag import record
 
 import ullage as ul
+from conftest import assert_same, some_frames
 from ullage.ports import Sink
 from ullage.ports.bag import McapSink
 from ullage.ports.repair import repair_bag
@@ -111,14 +110,6 @@ def test_a_killed_bag_gets_its_index_and_its_metadata_back(tmp_path: Path) -> No
     assert sorted(file.name for file in folder.iterdir()) == ["frames.mcap", "metadata.yaml"]
 
 
-@pytest.fixture
-def heeding() -> Iterator[None]:
-    """Ctrl-C is heard, even where the tests were started in the background of a shell, which ignores it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 class Interrupted(dict[str, ul.Frames]):
     """Somebody presses Ctrl-C as these frames are read."""
 
@@ -131,7 +122,7 @@ class Interrupted(dict[str, ul.Frames]):
         return super().items()
 
 
-@pytest.mark.usefixtures("heeding")
+@pytest.mark.usefixtures("heeded_signals")
 def test_interrupt_leaves_a_finished_file(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     frames = some_frames(20)

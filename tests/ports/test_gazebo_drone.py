@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import compiled
 
 import ullage as ul
+from conftest import compiled
 from ullage.world.library import WORLDS
 
 HERE = Path(__file__).parent
@@ -29,6 +29,7 @@ def program(tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("heeded_signals")
 def test_a_controller_on_the_bus_flies_a_gazebo_drone_which_hovers_when_it_falls_silent(
     program, partition, ign_topic, tmp_path
 ):

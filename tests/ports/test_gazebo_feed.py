@@ -6,9 +6,10 @@ from collections import deque
 
 import numpy as np
 import pytest
-from conftest import some_frames
 from hypothesis import given
 from hypothesis import strategies as st
+
+from conftest import some_frames
 
 pytest.importorskip("zmq")
 pytest.importorskip("google.protobuf")

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import compiled
 
 import ullage as ul
+from conftest import compiled
 
 pytest.importorskip("zmq")
 pytest.importorskip("google.protobuf")

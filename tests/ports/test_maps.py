@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from conftest import some_frames
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 from rosbags.highlevel import AnyReader
 
 import ullage as ul
+from conftest import some_frames
 from ullage.grids import AMBIGUOUS, MappedSurface
 from ullage.ports import read_map, write_map
 from ullage.ports import schema as ros

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import some_frames
 
 import ullage as ul
+from conftest import some_frames
 from ullage.errors import InputError
 from ullage.ports import Sink, Source
 

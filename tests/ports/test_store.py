@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from conftest import some_frames
 
 import ullage as ul
+from conftest import some_frames
 
 pytest.importorskip("zarr")
 

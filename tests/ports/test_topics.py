@@ -8,9 +8,9 @@ from collections import deque
 
 import numpy as np
 import pytest
-from conftest import some_frames
 
 import ullage as ul
+from conftest import some_frames
 from ullage.ports import schema as ros
 from ullage.ports.protocol import Passed
 from ullage.ports.rate_limiter import LATE_S

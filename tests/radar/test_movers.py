@@ -51,7 +51,7 @@ def frozen(still, poses):
 @pytest.mark.parametrize("max_bounces", [1, 2])
 def test_a_moment_of_what_moves_is_a_still_world(max_bounces):
     still, moving = world()
-    track = ul.Trajectory.stationary(n=5, rate_hz=5)  # 0 to 0.8 s
+    track = ul.Trajectory.stationary(n=3, rate_hz=2.5)  # 0 to 0.8 s
     frames = ul.simulate(moving, track, RADAR, max_bounces=max_bounces).samples
     for i, t_ns in enumerate(track.t_ns):
         there = frozen(still, moving.poses(int(t_ns)))

@@ -74,8 +74,11 @@ def poses(count: int = 8) -> ul.Trajectory:
     return ul.Trajectory(np.arange(count) * 10**9, out * rng.uniform(1, 2.5, (count, 1)), np.array(turns))
 
 
-def frames(mesh: Mesh) -> NDArray[np.complex64]:
-    return physical.echoes(Scene.of_mesh(*mesh, name="thing", made_of="pec"), poses(), SPEC)
+def frames(mesh: Mesh, *, cut: bool = True) -> NDArray[np.complex64]:
+    """The echoes; `cut`: False where the mesh is so fine that it must not be cut."""
+    scene = Scene.of_mesh(*mesh, name="thing", made_of="pec")
+    assert cut or prepare(scene).patches(SPEC.wavelength_m, 0.5) == [None]
+    return physical.echoes(scene, poses(), SPEC)
 
 
 def off_db(coarse: NDArray[np.complex64], fine: NDArray[np.complex64]) -> NDArray[np.float64]:
@@ -86,9 +89,7 @@ def off_db(coarse: NDArray[np.complex64], fine: NDArray[np.complex64]) -> NDArra
 @lru_cache(maxsize=4)
 def truth(make: Callable[[float], Mesh], edge_m: float) -> NDArray[np.complex64]:
     """What a mesh echoes that is so fine that it is not cut."""
-    scene = Scene.of_mesh(*make(edge_m), name="thing", made_of="pec")
-    assert prepare(scene).patches(SPEC.wavelength_m, 0.5) == [None]
-    return frames(make(edge_m))
+    return frames(make(edge_m), cut=False)
 
 
 @pytest.mark.parametrize(("make", "fine_m", "edge_m", "worst_db", "median_db"), [

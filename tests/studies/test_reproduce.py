@@ -109,30 +109,29 @@ class Apart(Experiment):
         return []
 
 
-def test_experiments_are_done_in_processes_of_their_own(tmp_path):
+def test_ctrl_c_ends_the_processes_and_keeps_what_is_done(tmp_path):
+    def pressed(done: int, text: str) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
     trio = [
         Apart("one", "One", "6.1"),
         Apart("two", "Two", "6.2", weight=2.0),
-        Apart("three", "Three", "6.3", how="fails"),
+        Apart("three", "Three", "6.3", how="waits"),
     ]
-    with pytest.raises(UllageError, match="Three: the radar is on fire"):
-        reproduce(tmp_path, trio, jobs=2)
+    found = reproduce(tmp_path, trio, jobs=2, report_progress=pressed)
+    assert found.interrupted
+    assert [c.experiment.name for c in found.chapters] == ["one", "two"]
+    assert "Interrupted: 2 of 3" in found.report.read_text()
     seen: list[int] = []
     done = reproduce(tmp_path, trio[:2], report_progress=lambda done, text: seen.append(done))
     assert [c.experiment.name for c in done.chapters] == ["one", "two"]
     assert min(seen) == 2  # both were done before
 
 
-def test_ctrl_c_ends_the_processes_and_keeps_what_is_done(tmp_path):
-    def pressed(done: int, text: str) -> None:
-        if done == 1:
-            raise KeyboardInterrupt
-
-    pair = [Apart("one", "One", "6.1"), Apart("two", "Two", "6.2", how="waits")]
-    found = reproduce(tmp_path, pair, jobs=2, report_progress=pressed)
-    assert found.interrupted
-    assert [c.experiment.name for c in found.chapters] == ["one"]
-    assert "Interrupted: 1 of 2" in found.report.read_text()
+def test_an_experiment_that_fails_is_named(tmp_path):
+    with pytest.raises(UllageError, match="Three: the radar is on fire"):
+        reproduce(tmp_path, [Apart("three", "Three", "6.3", how="fails")])
 
 
 def test_an_unknown_experiment_is_refused_by_name():

@@ -49,8 +49,9 @@ def survivors(section: Section, fleet: Fleet, folder: Path) -> list[str]:
     return out + [f"no mutant: {text}" for text in sorted(left)]
 
 
-def test_every_statement_about_a_term_falls_to_a_mutant(tmp_path):
-    assert not survivors(BASELINE, Fleet(tmp_path), tmp_path)
+@pytest.mark.parametrize("section", BASELINE, ids=lambda section: section.name)
+def test_every_statement_about_a_term_falls_to_a_mutant(section, tmp_path):
+    assert not survivors(section, Fleet(tmp_path), tmp_path)
 
 
 @pytest.fixture(scope="module")

@@ -243,18 +243,24 @@ def main(name: str, words: list[str] | None = None) -> int:
     from rclpy.executors import ExternalShutdownException
 
     rclpy.init(args=words)
-    node = make_node(name)
+    node = None
     try:
+        node = make_node(name)
         if node.get_parameter("autostart").value:
             node.trigger_configure()
             node.trigger_activate()
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except Exception:
+        if rclpy.ok():  # otherwise a signal ended the context while the node started, and rclpy stumbled over that
+            raise
     finally:
-        node.work.halt()
+        if node is not None:
+            node.work.halt()
         if rclpy.ok():
-            node.destroy_node()
+            if node is not None:
+                node.destroy_node()
             rclpy.shutdown()
     return 0
 

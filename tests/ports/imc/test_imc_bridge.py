@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import assert_same, some_frames
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from imc_peer import Peer
 
 import ullage as ul
+from conftest import assert_same, some_frames
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, make
 from ullage.ports.imc.frames import exact

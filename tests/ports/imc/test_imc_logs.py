@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import assert_same, some_frames
 from imc_bus import estimated_state, packed, text
 from test_imc_codec import one_of_each
 
 import ullage as ul
+from conftest import assert_same, some_frames
 from ullage.errors import InputError, UllageWarning
 from ullage.ports.imc.codec import encode
 from ullage.ports.imc.table import from_xml, own, shared, to_xml

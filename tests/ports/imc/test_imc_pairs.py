@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import same_message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -17,6 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_imc_codec import messages_of, one_of_each
 
 import ullage as ul
+from conftest import same_message
 from imc_page import page
 from ullage.errors import InputError, UllageWarning
 from ullage.ports import schema as ros

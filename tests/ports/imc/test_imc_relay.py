@@ -7,7 +7,6 @@ import time
 from itertools import product
 
 import pytest
-from conftest import same_message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from imc_peer import Peer
@@ -15,6 +14,7 @@ from test_imc_codec import PACKETS
 from test_imc_pairs import sensible
 
 import ullage as ul
+from conftest import same_message
 from ullage.ports.imc.broker import register, to_raw, to_ros
 from ullage.ports.imc.codec import Message, Packet, encode, make
 from ullage.ports.imc.interpreter import PAIRS

@@ -27,6 +27,7 @@ pytestmark = [pytest.mark.ros2, pytest.mark.slow]
     ],
     ids=["run", "fly"],
 )
+@pytest.mark.usefixtures("heeded_signals")
 def test_cmd_vel_moves_it_silence_stops_it_and_a_set_point_places_it(
     network: Network, tmp_path: Path, words: tuple[str, ...]
 ) -> None:
@@ -50,6 +51,7 @@ def test_cmd_vel_moves_it_silence_stops_it_and_a_set_point_places_it(
     assert (run / "map.yaml").exists()
 
 
+@pytest.mark.usefixtures("heeded_signals")
 def test_a_joystick_and_stamped_velocities_fly_it(network: Network, tmp_path: Path) -> None:
     stick = network.start("stick.py")
     words = ["-m", "ullage", "run", "ros2:?fly=ntnu-room&fidelity=thesis&node=drone&rate_hz=20"]

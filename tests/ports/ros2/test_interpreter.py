@@ -16,6 +16,7 @@ PILOT = ROOT / "tests/ports/imc/imc_pilot.py"
 
 
 @pytest.mark.parametrize("takes", ["velocity", "pose"])
+@pytest.mark.usefixtures("heeded_signals")
 def test_a_controller_on_the_bus_flies_a_ros_drone_which_hovers_when_it_falls_silent(
     network: Network, tmp_path: Path, takes: str
 ) -> None:

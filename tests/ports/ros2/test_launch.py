@@ -113,6 +113,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     }  # fmt: skip
 
 
+@pytest.mark.usefixtures("heeded_signals")
 def test_every_launch_file_starts_what_it_says(network: Network, installed: dict[str, str]) -> None:
     files = [f"{installed['ULLAGE_LAUNCH']}/{name}" for name in FILES]
     started = result_of(network.start("-c", DESCRIBE, *files, **installed))

@@ -12,6 +12,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -51,6 +52,7 @@ def faults_of(text: str) -> tuple[Fault, ...]:
     return names  # type: ignore[return-value]
 
 
+@lru_cache(maxsize=4)
 def swing(spec: RadarSpec) -> np.ndarray:
     """Return the samples (SWINGS, b) of a sphere that swings in front of a radar."""
     x_m = SWING_M * np.sin(2 * np.pi * np.arange(SWINGS) / SWINGS)
