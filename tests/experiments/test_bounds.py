@@ -68,7 +68,7 @@ def outside(name, folder, ruin):
 
 QUICK = ["ntnu-mapping"]
 SLOW = ["ntnu-mapping-5cm", "ntnu-mapping-50cm", "ntnu-mapping-20cm", "cluttered-room", "cargo-hold",
-        "ntnu-mapping-physical", "cluttered-room-physical", "cargo-hold-physical", "ballast-tank"]  # fmt: skip
+        "ntnu-mapping-physical", "cluttered-room-physical", "cargo-hold-physical"]  # fmt: skip
 
 
 @pytest.mark.timeout(1200)
