@@ -18,6 +18,7 @@ from ullage.arrays import Floats
 from ullage.config import Fidelity
 from ullage.data import Frames
 from ullage.errors import InputError
+from ullage.flow import Sink
 from ullage.ports.diagnostics import RadarStatus
 from ullage.ports.dynamic_scene import DynamicScene
 from ullage.ports.intake import (
@@ -34,7 +35,7 @@ from ullage.ports.intake import (
 )
 from ullage.ports.live import LiveSource
 from ullage.ports.pose_events import Feed, ModelPose, Notice, OtherModels
-from ullage.ports.protocol import Item, Sink
+from ullage.ports.protocol import Item
 from ullage.ports.rate_limiter import RateLimiter
 from ullage.radar.live import LiveRadars
 from ullage.specs import MOST_BOUNCES, RadarSpec, Rig, Spec

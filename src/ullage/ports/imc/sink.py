@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from ullage.flow import Sink
 from ullage.ports.imc.codec import readable
 from ullage.ports.imc.frames import BODY, MessageEncoder, TimedMessage
 from ullage.ports.imc.link import Link, leave, open_link
@@ -11,7 +12,7 @@ from ullage.ports.imc.options import SinkOptions
 from ullage.ports.imc.relay import Outgoing, RosToImc
 from ullage.ports.imc.wires import Entity, Identity
 from ullage.ports.intake import Log, warn
-from ullage.ports.protocol import Item, Passed, Sink
+from ullage.ports.protocol import Item, Passed
 from ullage.ports.rate_limiter import RateLimiter
 
 FIRST_RELAYED, LAST_RELAYED = 100, 254

@@ -8,12 +8,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping
-from typing import Self
 
 import numpy as np
 
 from ullage.data import Frames
 from ullage.errors import InputError
+from ullage.flow import Sink
 from ullage.ports.intake import Log, warn
 from ullage.ports.mavlink.brake import ModeBrake
 from ullage.ports.mavlink.encode import distance_sensors, obstacle_distance
@@ -36,7 +36,7 @@ TELL_S = 10.0
 TOPIC = "OBSTACLE_DISTANCE"
 
 
-class MavlinkSink:
+class MavlinkSink(Sink):
     """Sends the obstacle distances of a run to an autopilot, from a thread of its own, at the pace of the frames.
 
     The run's own `ObstacleSectors` are sent where there are some; else an `ObstacleStage` makes them of its frames.
@@ -235,12 +235,6 @@ class MavlinkSink:
             leave(self.link, "sink")
         if self._error is not None:
             raise self._error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 class _Rate:
