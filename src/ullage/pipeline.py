@@ -21,7 +21,7 @@ from ullage import flow
 from ullage.config import DetectMethod, ImageMethod, MapMethod
 from ullage.data import Detections, Frames, Recording, joined, sensors_of
 from ullage.errors import InputError, UllageWarning, need, shown
-from ullage.flow import Stage
+from ullage.flow import Due, Stage
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.stop_signals import StopFlag
 
@@ -257,23 +257,6 @@ class InMemorySource:
         parts = sensors_of(self.recording)
         for start in range(0, max(len(p) for p in parts), self.size):
             yield {p.sensor: p[start : start + self.size] for p in parts if start < len(p)}
-
-
-@dataclass(slots=True)
-class Due:
-    """Decide when a periodic result is due; the mean rate does not depend on the size of the pieces."""
-
-    every_s: float
-    _next_ns: int | None = None
-
-    def reached(self, now_ns: int) -> bool:
-        """Return whether it is due now, by the clock of the frames; a step of the clock restarts the interval."""
-        period_ns, next_ns = round(self.every_s * 1e9), self._next_ns
-        if next_ns is not None and next_ns - period_ns <= now_ns < next_ns:
-            return False
-        on_time = next_ns is not None and 0 <= now_ns - next_ns < period_ns
-        self._next_ns = (next_ns if on_time and next_ns is not None else now_ns) + period_ns
-        return True
 
 
 @dataclass(slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -421,13 +420,9 @@ class PacedSink(Sink):
         parts = [item] if isinstance(item, Frames) else list(item.values()) if isinstance(item, Mapping) else []
         moments = [(int(part.t_ns[k]), n, k) for n, part in enumerate(parts) for k in range(len(part))]
         for t_ns, n, k in sorted(moments):
-            self._wait(t_ns)
+            self._limiter.wait(t_ns)
+            self.tick(t_ns)
             self.give(parts[n][k : k + 1])
-
-    def _wait(self, t_ns: int) -> None:
-        now = time.monotonic()
-        time.sleep(max(0.0, self._limiter.due_s(t_ns, now) - now))
-        self.tick(t_ns)
 
     def tick(self, t_ns: int) -> None:
         """Publish the time of the frames before each is given."""

@@ -63,8 +63,7 @@ class ImcSink(Sink):
         t_s = timed.t_ns * 1e-9
         if self._epoch_s is None:
             self._epoch_s = 0.0 if t_s > EPOCH_S else time.time() - t_s
-        now = time.monotonic()
-        time.sleep(max(0.0, self._limiter.due_s(timed.t_ns, now) - now))
+        self._limiter.wait(timed.t_ns)
         self._link.send(timed.message, entity=timed.entity, t_s=self._epoch_s + t_s)
 
     def _relay(self, one: Outgoing) -> None:
