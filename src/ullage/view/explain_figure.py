@@ -11,7 +11,7 @@ import numpy as np
 from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.radar.explain import Contribution
-from ullage.view.figures import TRUTH_COLOR, drawing, levels
+from ullage.view.figures import TRUTH_COLOR, drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +49,7 @@ def explain_figure(
 
 
 def _profile(axes: Axes, frames: Frames, i: int, shown: Sequence[Contribution]) -> None:
-    level = levels(abs(frames.samples[i]), "path_gain")
+    level = 20 * np.log10(np.maximum(abs(frames.samples[i]), 1e-12))
     axes.plot(frames.range_m, level, color="0.35", lw=1)
     base = float(np.percentile(level, 5))
     top = max([float(level.max()), *(c.path_gain_db for c in shown)], default=0.0)

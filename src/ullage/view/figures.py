@@ -233,7 +233,7 @@ LINEAR_UNITS = ("thesis",)
 """Units drawn on a linear scale; all others are drawn in decibels."""
 
 
-def levels(amplitude: ArrayLike, unit: str) -> Floats:
+def _levels(amplitude: ArrayLike, unit: str) -> Floats:
     """Return amplitudes for drawing: in dB, or unchanged."""
     value = np.asarray(amplitude, float)
     return value if unit in LINEAR_UNITS else np.asarray(20 * np.log10(np.maximum(value, 1e-12)))
@@ -241,7 +241,7 @@ def levels(amplitude: ArrayLike, unit: str) -> Floats:
 
 def level_limits(amplitudes: Sequence[ArrayLike], unit: str) -> tuple[float, float]:
     """Return the lowest and highest level of the colours of range-time pictures, at most 70 dB apart."""
-    values = [levels(one, unit) for one in amplitudes]
+    values = [_levels(one, unit) for one in amplitudes]
     top = max(float(np.quantile(v, 0.999)) for v in values)
     low = 0.0 if unit in LINEAR_UNITS else max(min(float(np.quantile(v, 0.05)) for v in values), top - 70)
     return low, top
@@ -253,7 +253,7 @@ def draw_range_time(
     """Draw amplitudes (n, b) in colour over times (n) [s] and ranges (b) [m]; limits from `level_limits`."""
     extent = (t_s[0], max(t_s[-1], t_s[0] + 1e-3), range_m[0], range_m[-1])
     low, top = limits
-    value = levels(amplitude, unit).T
+    value = _levels(amplitude, unit).T
     mesh = axes.imshow(value, extent=extent, origin="lower", aspect="auto", vmin=low, vmax=top)
     axes.set_xlabel("time [s]")
     return mesh
@@ -261,7 +261,7 @@ def draw_range_time(
 
 def draw_profile(axes: Axes, frames: Frames, index: int) -> None:
     """Draw one frame's amplitude over range."""
-    axes.plot(frames.range_m, levels(frames.amplitude[index], frames.unit), linewidth=1.0, label=frames.sensor)
+    axes.plot(frames.range_m, _levels(frames.amplitude[index], frames.unit), linewidth=1.0, label=frames.sensor)
     axes.set_xlabel("range [m]")
 
 
@@ -294,7 +294,7 @@ def snapshot_figure(path: Path, frames: Sequence[Frames], index: int, *, thresho
         for part in frames:
             draw_profile(axes, part, min(index, len(part) - 1))
         if threshold is not None:
-            level = float(levels(threshold, frames[0].unit))
+            level = float(_levels(threshold, frames[0].unit))
             axes.axhline(level, color="0.4", linestyle="--", linewidth=0.8, label=f"threshold {threshold:g}")
         axes.set(ylabel=UNIT_LABEL[frames[0].unit], title=title)
         axes.legend(fontsize=7)

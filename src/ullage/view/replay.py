@@ -22,7 +22,6 @@ from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.files import write_whole
-from ullage.flow import Sink
 from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, Image, OccupancyMap
 from ullage.radar.explain import Contribution
 from ullage.untrusted import reason
@@ -43,7 +42,7 @@ UNKNOWN_CELL, FREE_CELL, OCCUPIED_CELL, AMBIGUOUS_CELL = range(4)
 
 
 @dataclass(slots=True)
-class MapHistory(Sink):
+class MapHistory:
     """A sink that keeps at most `most` maps and `most_bytes` bytes of a run, evenly over time."""
 
     gathers: ClassVar[bool] = True
@@ -68,6 +67,9 @@ class MapHistory(Sink):
 
     def _too_many(self) -> bool:
         return len(self._maps) > self.most or sum(one.nbytes for _, one in self._maps) > self.most_bytes
+
+    def close(self) -> None:
+        """Nothing is open."""
 
     def maps(self) -> list[tuple[float, OccupancyMap]]:
         """Each kept map with the time of the last frame in it [s]."""
