@@ -19,7 +19,8 @@ import ullage as ul
 from ullage import cli
 from ullage.experiments.report_collectors import RangeTime, SampledFrames
 from ullage.experiments.ros2_nodes import MappingOptions, mapping_stages
-from ullage.pipeline import DetectStage, Due, ImageStage, InMemorySource, MapStage
+from ullage.flow import Due
+from ullage.pipeline import DetectStage, ImageStage, InMemorySource, MapStage
 from ullage.ports.publisher import Publisher
 from ullage.processing.own_echo import OwnEchoFilter
 from ullage.stop_signals import StopFlag, stop_as_ctrl_c

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from types import ModuleType
 
     from ullage.config import Scenario, Task
-    from ullage.experiments.run import Report
+    from ullage.experiments.run import Report, Run
     from ullage.experiments.sweep import Sweep
+    from ullage.view.pilot_view import PilotView
 
 app = typer.Typer(
     name="ullage",
@@ -36,11 +37,14 @@ ANYWHERE = ("--debug", "--quiet", "--verbose")
 """Options of the command itself that may stand behind a verb too."""
 NEWEST = 3
 """Runs that the overview names."""
+Do = Annotated[str | None, typer.Option("--do", help="What to make of the frames: detect,image,map,obstacles")]
+To = Annotated[list[str] | None, typer.Option("--to", help="Also write there: a file or live port", metavar="SINK")]
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for runs", metavar="DIR")]
 LawOption = Annotated[
     str | None,
     typer.Option("--law", help="Law of a shipped scenario's echoes: thesis or physical", metavar="LAW"),
 ]
+RunName = Annotated[str, typer.Argument(help="Run folder, its name, or latest.")]
 ByHand = Annotated[bool, typer.Option("--by-hand", help="A shipped scenario as flown by hand.")]
 
 
@@ -235,12 +239,8 @@ def top(
 @app.command()
 def run(
     source: Annotated[str, typer.Argument(help="Scenario name, scenario.yaml, world file, recording, or live port.")],
-    do: Annotated[
-        str | None, typer.Option("--do", help="What to make of the frames: detect,image,map,obstacles")
-    ] = None,
-    to: Annotated[
-        list[str] | None, typer.Option("--to", help="Also write there: a file or live port", metavar="SINK")
-    ] = None,
+    do: Do = None,
+    to: To = None,
     option: Options = None,
     law: LawOption = None,
     by_hand: ByHand = False,
@@ -262,11 +262,9 @@ def run(
     repair(source)
     from ullage.experiments.catalog import variant_name
     from ullage.experiments.comparison import fly_again, rival_scenario
-    from ullage.experiments.runner import execute
-    from ullage.experiments.source_resolution import check_target, make_run, record, tasks_of
+    from ullage.experiments.source_resolution import check_target, make_run, tasks_of
     from ullage.pipeline import check_sink
-    from ullage.view.progress import log, open_page, progress_bar
-    from ullage.view.viewer_output import keep_serving
+    from ullage.view.progress import log, progress_bar
 
     tasks, options, sinks = tasks_of(do), option or [], to or []
     source = variant_name(source, law=law, by_hand=by_hand)
@@ -279,27 +277,16 @@ def run(
         job = make_run(source, tasks=tasks, options=options, out=out, force=force, progress=bar, log=log, to=sinks)
     if rival is not None and compare is not None:
         job.rival = partial(fly_again, rival, compare)
-    recording = record(job)
     total = job.flown.duration_s if job.flown is not None and not job.live else None
-    with progress_bar("receiving and mapping", total=total, unit="s of flight") as bar:
-        report = execute(job, sinks=[recording], progress=bar, on_lag=bar.on_lag, log=bar.log)
-    _print_summary(report)
-    if open_report:
-        open_page(report.folder / "report.html")
-    if not report.outcome.interrupted:
-        keep_serving(job.sinks)
+    _carry_out(job, "receiving and mapping", total, open_report=open_report)
 
 
 @app.command()
 def fly(
     target: Annotated[str, typer.Argument(help="World name or file, scenario name or scenario.yaml.")],
     by: Annotated[str, typer.Option("--by", help="keys, or ros2:NAMESPACE for cmd_vel, set-points and joy.")] = "keys",
-    do: Annotated[
-        str | None, typer.Option("--do", help="What to make of the frames: detect,image,map,obstacles")
-    ] = None,
-    to: Annotated[
-        list[str] | None, typer.Option("--to", help="Also write there: a file or live port", metavar="SINK")
-    ] = None,
+    do: Do = None,
+    to: To = None,
     option: Options = None,
     law: LawOption = None,
     duration_s: Annotated[float | None, typer.Option("--duration-s", min=0.1, help="End after so long.")] = None,
@@ -313,25 +300,16 @@ def fly(
     """
     target = with_arguments(target, xacro or [])
     from ullage.experiments.catalog import variant_name
-    from ullage.experiments.runner import execute
-    from ullage.experiments.source_resolution import flight_scenario, make_flight, record, tasks_of
+    from ullage.experiments.source_resolution import flight_scenario, make_flight, tasks_of
     from ullage.experiments.warmup import parts_of
     from ullage.view.pilot_view import PilotView
-    from ullage.view.progress import console, log, progress_bar, shows_bars
-    from ullage.view.viewer_output import keep_serving
+    from ullage.view.progress import console, log
 
     scenario = flight_scenario(variant_name(target, law=law), tasks=tasks_of(do), options=option or [])
-    parts = tuple({*parts_of(scenario), "hector"})
-    compile_parts(parts)
+    compile_parts({*parts_of(scenario), "hector"})
     job = make_flight(scenario, by=by, duration_s=duration_s, out=out, log=log, to=to or [])
-    recording = record(job)
     seen = PilotView(columns=min(console.width, 80), rows=max(min(console.height - 8, 20), 1))
-    watching = [seen] if shows_bars() else []
-    with progress_bar("flying", total=duration_s, unit="s of flight", above=seen.lines) as bar:
-        report = execute(job, sinks=[recording, *watching], progress=bar, on_lag=bar.on_lag, log=bar.log)
-    _print_summary(report)
-    if not report.outcome.interrupted:
-        keep_serving(job.sinks)
+    _carry_out(job, "flying", duration_s, above=seen)
 
 
 @app.command()
@@ -342,9 +320,7 @@ def explore(
     height_m: Annotated[
         float | None, typer.Option("--height", help="Of the flight; default: the first waypoint's.", metavar="M")
     ] = None,
-    to: Annotated[
-        list[str] | None, typer.Option("--to", help="Also write there: a file or live port", metavar="SINK")
-    ] = None,
+    to: To = None,
     option: Options = None,
     out: Out = None,
     trust_xacro: Trust = False,
@@ -358,21 +334,15 @@ def explore(
     world = with_arguments(world, xacro or [])
     from ullage.experiments.exploration import prepare
     from ullage.experiments.explore import exploring
-    from ullage.experiments.runner import execute
-    from ullage.experiments.source_resolution import flight_scenario, make_exploration, record
+    from ullage.experiments.source_resolution import flight_scenario, make_exploration
     from ullage.experiments.warmup import parts_of
-    from ullage.view.progress import log, progress_bar
+    from ullage.view.progress import log
 
     options = [*(option or []), *([f"seed={seed}"] if seed is not None else [])]
     scenario = exploring(flight_scenario(world, options=options, kind="explore"), options)
     compile_parts(parts_of(scenario))
     flight = prepare(scenario, time_s=time_s, height_m=height_m, log=log)
-    job = make_exploration(flight, out=out, log=log, to=to or [])
-    recording = record(job)
-    with progress_bar("exploring", total=time_s, unit="s of flight") as bar:
-        flight.report_progress = bar.retitle
-        report = execute(job, sinks=[recording], progress=bar, log=bar.log)
-    _print_summary(report)
+    _carry_out(make_exploration(flight, out=out, log=log, to=to or []), "exploring", time_s)
 
 
 def repair(source: str) -> bool:
@@ -411,6 +381,36 @@ def compile_parts(parts: Iterable[str] | None = None) -> None:
         log("compiling kernels (once after installation)")
         with console.status("compiling") as line:
             compile_kernels(parts, log=lambda what: line.update(f"compiling {what}"))
+
+
+def _carry_out(
+    job: Run, title: str, total_s: float | None, *, above: PilotView | None = None, open_report: bool = False
+) -> None:
+    """Carry out a run with a progress bar, tell what it gave, and serve the page of a viewer until Ctrl-C.
+
+    Args:
+        job: what to do.
+        title: of the bar.
+        total_s: length of the flight, where it is known [s].
+        above: what is shown above the bar on a terminal.
+        open_report: in a browser, too.
+    """
+    from ullage.experiments.runner import execute
+    from ullage.experiments.source_resolution import record
+    from ullage.view.progress import open_page, progress_bar, shows_bars
+    from ullage.view.viewer_output import keep_serving
+
+    sinks = [record(job), *([above] if above is not None and shows_bars() else [])]
+    lines = None if above is None else above.lines
+    with progress_bar(title, total=total_s, unit="s of flight", above=lines) as bar:
+        if job.exploration is not None:
+            job.exploration.report_progress = bar.retitle
+        report = execute(job, sinks=sinks, progress=bar, on_lag=bar.on_lag, log=bar.log)
+    _print_summary(report)
+    if open_report:
+        open_page(report.folder / "report.html")
+    if not report.outcome.interrupted:
+        keep_serving(job.sinks)
 
 
 def _print_summary(report: Report) -> None:
@@ -536,7 +536,7 @@ def _list_runs(root: Path, *, most: int | None = None) -> None:
 
 @app.command()
 def show(
-    run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest",
+    run: RunName = "latest",
     png: Annotated[bool, typer.Option("--png", help="Print only the path of its main picture.")] = False,
 ) -> None:
     """Show what a run gave."""
@@ -566,7 +566,7 @@ def show(
 
 
 @app.command()
-def measure(run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest") -> None:
+def measure(run: RunName = "latest") -> None:
     """Check a run against its bounds.
 
     The scenario has them. Exit 1 when one is broken.
@@ -590,7 +590,7 @@ def measure(run: Annotated[str, typer.Argument(help="Run folder, its name, or la
 
 @app.command()
 def report(
-    run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest",
+    run: RunName = "latest",
     open_report: Annotated[bool, typer.Option("--open", help="Open it in a browser.")] = False,
     html: Annotated[
         bool, typer.Option("--html/--no-html", help="Write report.html: one file that needs no other, to send.")
@@ -694,20 +694,10 @@ def reproduce(
     if quick and not only:
         answer(f": {', '.join(e.name for e in study('thesis.plan').EXPERIMENTS if not e.quick)}", mark="left out")
     with progress_bar("reproducing", total=float(len(chosen))) as bar:
-
-        def report_progress(done: int, text: str) -> None:
-            bar.retitle(text)
-            bar(done)
-
         done = run_all(
-            out,
-            chosen,
-            recordings=recordings,
-            quick=quick,
-            fresh=force,
-            jobs=local_workers(jobs),
-            report_progress=report_progress,
-        )
+            out, chosen, recordings=recordings, quick=quick, fresh=force, jobs=local_workers(jobs),
+            report_progress=bar.at,
+        )  # fmt: skip
     for line in done.broken:
         answer(f"  {line}", mark="OUT", style="red")
     holding, total = done.counts
@@ -753,19 +743,12 @@ def sweep(
     points = sweeps.plan(scenario, axes, seeds=seeds, options=option or [], out=out)
     warm_up(scenario, list(points[0].options))
     with progress_bar(f"{len(points)} runs", total=float(len(points)), unit="runs", rated=True) as bar:
-
-        def report_progress(done: int, text: str) -> None:
-            (log if text.startswith("dashboard") else bar.retitle)(text)
-            bar(done)
-
-        done = sweeps.sweep(points, out=out, where=where, report_progress=report_progress, again=force)
+        done = sweeps.sweep(points, out=out, where=where, report_progress=bar.at, again=force)
     for name, why in done.failed.items():
         answer(f"  {name}: {why}", mark="FAIL", style="red")
     if done.done:
-        shown: list[str] = [
-            name for name in ("f1", "precision", "recall", "detections") if name in done.done[0].metrics
-        ]
-        _tabulate(done, metric or shown)
+        usual = ["f1", "precision", "recall", "detections"]
+        _tabulate(done, metric or [name for name in usual if name in done.done[0].metrics])
     log(f"{len(done.done)} of {len(points)} runs; table: {done.table}")
     if done.interrupted:
         log(": run the same command again to go on", mark="interrupted", style="yellow")
@@ -803,14 +786,10 @@ def dataset(
     compile_parts(parts)
     try:
         with progress_bar(f"{n} samples", total=float(n), unit="samples", rated=True) as bar:
-
-            def report_progress(done: int, total: int, text: str) -> None:
-                (log if text.startswith("dashboard") else bar.retitle)(text)
-                bar(done)
-
             made = sets.dataset(
-                kinds, to, n=n, seed=seed, frames=frames, bounces=drawn, where=where, progress=report_progress
-            )
+                kinds, to, n=n, seed=seed, frames=frames, bounces=drawn, where=where,
+                progress=lambda done, _, text: bar.at(done, text),
+            )  # fmt: skip
     except KeyboardInterrupt:
         log(": run the same command again to go on", mark="interrupted", style="yellow")
         raise typer.Exit(130) from None

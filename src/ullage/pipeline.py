@@ -17,16 +17,17 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage import flow
 from ullage.config import DetectMethod, ImageMethod, MapMethod
 from ullage.data import Detections, Frames, Recording, joined, sensors_of
 from ullage.errors import InputError, UllageWarning, need, shown
+from ullage.flow import Due, Stage
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.stop_signals import StopFlag
 
 if TYPE_CHECKING:
     from ullage.live_run import LiveStatistics
     from ullage.ports.intake import Covered
-    from ullage.ports.protocol import Sink as PortSink
     from ullage.processing.health import HealthMonitor
     from ullage.processing.image_sum import ImageSum
     from ullage.processing.own_echo import OwnEchoFilter
@@ -63,16 +64,6 @@ class Source(Protocol):
 
     def stream(self) -> Iterator[Chunk]:
         """Pieces in order of time, each a dict of Frames by sensor name."""
-
-
-class Stage(Protocol):
-    """Anything that makes something of frames; it sees each piece once."""
-
-    def update(self, chunk: Chunk) -> Iterable[Any]:
-        """Return the results of this chunk: Detections, OccupancyMap, Image; or none yet."""
-
-    def finish(self) -> Iterable[Any]:
-        """Return the remaining results after the last frames."""
 
 
 class Sink(Protocol):
@@ -113,7 +104,7 @@ class _Count:
         return 0.0 if self.covered is None else self.covered.total_s
 
 
-def sink(target: str | Path, **options: Any) -> PortSink:
+def sink(target: str | Path, **options: Any) -> flow.Sink:
     """Open a sink for frames and results: a viewer, a recording or a map file, by the kind of name.
 
     Args:
@@ -269,24 +260,7 @@ class InMemorySource:
 
 
 @dataclass(slots=True)
-class Due:
-    """Decide when a periodic result is due; the mean rate does not depend on the size of the pieces."""
-
-    every_s: float
-    _next_ns: int | None = None
-
-    def reached(self, now_ns: int) -> bool:
-        """Return whether it is due now, by the clock of the frames; a step of the clock restarts the interval."""
-        period_ns, next_ns = round(self.every_s * 1e9), self._next_ns
-        if next_ns is not None and next_ns - period_ns <= now_ns < next_ns:
-            return False
-        on_time = next_ns is not None and 0 <= now_ns - next_ns < period_ns
-        self._next_ns = (next_ns if on_time and next_ns is not None else now_ns) + period_ns
-        return True
-
-
-@dataclass(slots=True)
-class DetectStage:
+class DetectStage(Stage):
     """Detections, piece by piece."""
 
     method: DetectMethod | None = "first_peak"  # None: the first peak of the thesis' echoes, else all peaks
@@ -311,10 +285,6 @@ class DetectStage:
             self.found += len(hits)
             if len(hits):
                 yield replace(hits, frame=hits.frame + before)
-
-    def finish(self) -> Iterable[Any]:
-        """Nothing is left over."""
-        return ()
 
 
 @dataclass(slots=True)

@@ -18,8 +18,9 @@ from ullage.experiments.catalog import find_scenario
 from ullage.experiments.folder import provenance
 from ullage.experiments.report_collectors import RangeTime
 from ullage.experiments.simulated import Simulated, prepare
+from ullage.flow import Stage
 from ullage.grids import Grid
-from ullage.pipeline import ImageStage, MapStage, Stage
+from ullage.pipeline import ImageStage, MapStage
 from ullage.radar.simulate import simulate_stream
 
 PRINTED = {

@@ -15,9 +15,10 @@ import ullage as ul
 from ullage.cli import app
 from ullage.errors import InputError
 from ullage.experiments.exploration import LATE_S, Explorer
-from ullage.experiments.exploration_report import mapped, observable_from, reachable
+from ullage.experiments.exploration_report import observable_from, reachable
 from ullage.geometry import rpy_quat
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
+from ullage.processing.metrics import on_map
 from ullage.processing.obstacles import ObstacleStage
 
 STAGE = ObstacleStage(ul.Rig.preset("thesis-4").sensors)
@@ -130,9 +131,9 @@ def test_the_surface_to_explore_is_what_the_vehicle_could_see_from_where_it_fits
     assert 0.7 < surface.observable(1).mean() <= 1.0
     percent = np.zeros(grid.shape, np.int8)
     percent[0] = 95  # the wall in the south
-    on_map = mapped(OccupancyMap(grid, percent), surface.points)
-    assert on_map[surface.points[:, 1] < -2.45].all()
-    assert not on_map[surface.points[:, 1] > -2.2].any()
+    shown = on_map(OccupancyMap(grid, percent), surface.points)
+    assert shown[surface.points[:, 1] < -2.45].all()
+    assert not shown[surface.points[:, 1] > -2.2].any()
 
 
 @pytest.mark.slow

@@ -126,7 +126,7 @@ def test_log_cut_anywhere(tmp_path_factory: pytest.TempPathFactory, data: st.Dat
         with pytest.raises(ul.InputError, match=r"radar\.out.*hold no scan"):
             read_log(path)
         return
-    got = read_log(path).scans
+    got = read_log(path).samples
     whole = (cut - 32) // 1452 // 2
     np.testing.assert_array_equal(got[:whole], scans[:whole])
 
@@ -146,14 +146,14 @@ def test_log_damaged_anywhere(tmp_path_factory: pytest.TempPathFactory, at: int,
         assert "\n" not in said
     else:
         assert (np.diff(got.t_ns) > 0).all()
-        assert (got.scans == 1).mean() > 0.3
+        assert (got.samples == 1).mean() > 0.3
 
 
 def test_missing_packets_leave_zeros(tmp_path: Path) -> None:
     content = log(np.ones((5, 400), int))
     (tmp_path / "radar.out").write_bytes(content[: 32 + 1452] + content[32 + 2 * 1452 :])
     with pytest.warns(ul.UllageWarning, match="1 packets are missing"):
-        scans = read_log(tmp_path / "radar.out").scans
+        scans = read_log(tmp_path / "radar.out").samples
     assert scans.sum() == 5 * 400 - 50
     assert not scans[0, 350:].any()
 
@@ -274,7 +274,7 @@ def test_the_whole_configuration_message_may_stand_in_front(rail: Path, kind: in
     raw, known = (rail / "radar.out").read_bytes(), read_log(rail / "radar.out")
     (rail / "radar.out").write_bytes(struct.pack(">HH", kind, 1) + raw[: CONFIG.size] + tail + raw[CONFIG.size :])
     got = read_log(rail / "radar.out")
-    np.testing.assert_array_equal(got.scans, known.scans)
+    np.testing.assert_array_equal(got.samples, known.samples)
     np.testing.assert_array_equal(got.range_m, known.range_m)
     assert got.spec == known.spec
 

@@ -10,7 +10,7 @@ from matplotlib.image import imread
 
 import ullage as ul
 from ullage.view import figures, viewer_plots
-from ullage.view.own_echo_figure import own_echo_figure
+from ullage.view.report_figures import own_echo_figure
 
 LONG = "A title that goes on and on, as those of scenarios that say where, how and with which radars one flies, do"
 

@@ -23,6 +23,7 @@ from ullage.experiments.simulated import radars_and_world, waypoints_of
 from ullage.flight.airframe import airframe
 from ullage.flight.explore import RESERVE_S, Leg, Situation, ViewPlanner, direction
 from ullage.flight.vehicle import check_clear
+from ullage.flow import Sink
 from ullage.geometry import quat_matrix, rpy_quat
 from ullage.grids import OccupancyMap
 from ullage.pipeline import LOGGER
@@ -372,7 +373,7 @@ def _without_folds(scenario: Scenario, rig: Rig, scene: Scene) -> dict[str, int]
 
 
 @dataclass(slots=True)
-class MapFeed:
+class MapFeed(Sink):
     """Sink that hands each new map to the pilot."""
 
     pilot: Explorer
@@ -386,9 +387,6 @@ class MapFeed:
             self.words = (
                 f"{item.free.sum() * area:.0f} m2 free, {item.occupied.sum() * item.grid.step_m:.0f} m of surface"
             )
-
-    def close(self) -> None:
-        """Nothing is open."""
 
 
 def _strung(parts: list[Trajectory]) -> Trajectory:

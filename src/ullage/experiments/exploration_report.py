@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import label
-from scipy.spatial import cKDTree
 
 from ullage.arrays import Bools, Floats
 from ullage.data import Frames, Metric, Trajectory
@@ -24,7 +23,7 @@ from ullage.flight.random_flights import LATTICE_M
 from ullage.flight.tour import level_at
 from ullage.geometry import rpy_quat
 from ullage.grids import Grid, OccupancyMap
-from ullage.processing.metrics import MATCH_M, cell_centres
+from ullage.processing.metrics import on_map
 from ullage.processing.truth import Surface, surface_of
 from ullage.specs import Rig
 from ullage.world.scene import Scene
@@ -65,14 +64,6 @@ def _empty(name: str, rig: Rig, body: Trajectory) -> Frames:
     poses = body.mounted(spec.mount.body_from_sensor())
     samples = np.zeros((len(body), len(spec.range_m)), np.complex64)
     return Frames(samples, spec.range_m, body.t_ns, spec, poses, poses, name, "path_gain")
-
-
-def mapped(omap: OccupancyMap, points: Floats) -> Bools:
-    """Whether each point (s, 3) of a surface lies within 0.15 m of an occupied cell."""
-    centres = cell_centres(omap.grid, np.flatnonzero(omap.occupied))[:, : omap.grid.dims]
-    if not len(centres):
-        return np.zeros(len(points), bool)
-    return np.asarray(cKDTree(centres).query(points[:, : omap.grid.dims])[0] <= MATCH_M)
 
 
 def closest_m(scene: Scene, flown: Trajectory, vehicle: str) -> float:
@@ -124,7 +115,7 @@ def judge(
     anywhere = observable_from(scene, grid, flight.loop.rig, places)
     wanted = anywhere.observable(1)
     points, length = anywhere.points[wanted], flown.duration_s
-    share = [float(mapped(omap, points).mean()) if len(points) else 0.0 for _, omap in maps]
+    share = [float(on_map(omap, points).mean()) if len(points) else 0.0 for _, omap in maps]
     for part in SHARES:
         soonest = [value for (at, _), value in zip(maps, share, strict=True) if at <= part * length + 1e-6]
         name = "explored" if part == 1 else f"explored_at_{part * 100:.0f}"
@@ -135,16 +126,16 @@ def judge(
 
 def _missed(omap: OccupancyMap, anywhere: Surface, flown: Surface, wanted: Bools) -> list[str]:
     """Return sentences on the surface that is not on the map, by reason."""
-    on_map, enough = mapped(omap, anywhere.points), flown.observable(3)
+    shown, enough = on_map(omap, anywhere.points), flown.observable(3)
     count = max(int(wanted.sum()), 1)
     reasons = {
         "out of beams, range or sight of this flight": ~flown.seen & ~enough,
         "passed, but never along its normal, so its echo went elsewhere": flown.seen & ~enough,
         "observable on this flight, and not mapped yet": enough,
     }
-    parts = [f"{100 * (wanted & ~on_map & why).sum() / count:.0f} % was {text}" for text, why in reasons.items()]
+    parts = [f"{100 * (wanted & ~shown & why).sum() / count:.0f} % was {text}" for text, why in reasons.items()]
     return [
-        f"Of the surface that can be observed at this height, {100 * (on_map & wanted).sum() / count:.0f} % is mapped; "
+        f"Of the surface that can be observed at this height, {100 * (shown & wanted).sum() / count:.0f} % is mapped; "
         + "; ".join(parts) + ".",
         f"{100 * (~wanted).mean():.0f} % of all surface at this height cannot be observed from where the vehicle fits.",
     ]  # fmt: skip

@@ -14,6 +14,7 @@ from ullage.errors import InputError
 from ullage.experiments.exploration import PIECE_S, Decision, prepare
 from ullage.experiments.guarded_flight import Believe
 from ullage.experiments.source_resolution import flight_scenario
+from ullage.flow import Sink
 from ullage.grids import Grid, OccupancyMap
 from ullage.pipeline import MapStage, run
 from ullage.world.scene import Scene
@@ -90,7 +91,7 @@ def explore(
 
 
 @dataclass(slots=True)
-class _Kept:
+class _Kept(Sink):
     """Sink that keeps all frames."""
 
     chunks: list[dict[str, Frames]] = field(default_factory=list)
@@ -98,6 +99,3 @@ class _Kept:
     def write(self, item: Any) -> None:
         if isinstance(item, dict):
             self.chunks.append(item)
-
-    def close(self) -> None:
-        """Nothing is open."""

@@ -7,12 +7,11 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ullage.arrays import Floats
 from ullage.data import Frames, Metric
 from ullage.grids import OccupancyMap
-from ullage.processing.metrics import MATCH_M, cell_centres
+from ullage.processing.metrics import on_map
 from ullage.processing.truth import surface_of
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -50,11 +49,7 @@ def inspect(omap: OccupancyMap, scene: Scene, frames: Mapping[str, Frames]) -> t
         InputError: nothing of the scene lies on the grid.
     """
     surface = surface_of(scene, omap.grid, frames)
-    dims = omap.grid.dims
-    cells = cell_centres(omap.grid, np.flatnonzero(omap.occupied))[:, :dims]
-    near = np.zeros(len(surface.points), bool)
-    if len(cells):
-        near |= np.asarray(cKDTree(cells).query(surface.points[:, :dims])[0] <= MATCH_M)
+    near = on_map(omap, surface.points)
     observable, out = surface.observable(OBSERVED_FROM), []
     for index, thing in enumerate(scene.objects):
         seen = (surface.object_id == index) & surface.in_view

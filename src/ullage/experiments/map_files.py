@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
+from ullage.flow import Sink
 from ullage.grids import OccupancyMap
 
 EVERY_S = 60.0
@@ -17,7 +18,7 @@ PICTURE_S = 10.0
 
 
 @dataclass(slots=True)
-class MapSaver:
+class MapSaver(Sink):
     """A sink that saves the map so far, so that a kill leaves one that is at most a minute old.
 
     Attributes:
@@ -48,9 +49,6 @@ class MapSaver:
         if isinstance(item, OccupancyMap) and self.draw and time.monotonic() - self._started_s >= PICTURE_S:
             self.draw(item)
             self.draw = None
-
-    def close(self) -> None:
-        """Nothing is open."""
 
 
 def write_map_files(folder: Path, omap: OccupancyMap) -> None:

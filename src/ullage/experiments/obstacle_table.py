@@ -10,6 +10,7 @@ from typing import Any, ClassVar, TextIO
 
 from ullage.data import Metric
 from ullage.errors import InputError
+from ullage.flow import Sink
 from ullage.processing.obstacles import ObstacleSectors
 
 FIELDS = (
@@ -37,7 +38,7 @@ class _Summary:
 
 
 @dataclass(slots=True)
-class ObstacleTable:
+class ObstacleTable(Sink):
     """A sink that writes `obstacles.csv` into a run's folder and sums it up.
 
     Distances are empty where nothing is detected and `nan` where they are unknown.

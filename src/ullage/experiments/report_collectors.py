@@ -10,6 +10,7 @@ import numpy as np
 
 from ullage.arrays import Floats, Singles
 from ullage.data import Frames, joined
+from ullage.flow import Stage
 
 
 @dataclass(slots=True)
@@ -36,7 +37,7 @@ class _Pooled:
 
 
 @dataclass(slots=True)
-class RangeTime:
+class RangeTime(Stage):
     """Range-time amplitude pictures of every sensor, at most `most` rows each."""
 
     most: int = 1200
@@ -50,10 +51,6 @@ class RangeTime:
             self._sensors.setdefault(name, _Pooled(part.range_m)).add(part, self.most)
         return ()
 
-    def finish(self) -> Iterable[Any]:
-        """Nothing flows on."""
-        return ()
-
     def pictures(self) -> list[tuple[str, Floats, Floats, Floats]]:
         """Name, times [s], ranges [m] and amplitudes (n, b) of each sensor."""
         return [
@@ -64,7 +61,7 @@ class RangeTime:
 
 
 @dataclass(slots=True)
-class SampledFrames:
+class SampledFrames(Stage):
     """Keep every n-th frame of each sensor, at most `most` of each: enough to find the surfaces in sight."""
 
     most: int = 400
@@ -92,10 +89,6 @@ class SampledFrames:
                 self._stride[name] *= 2
         return ()
 
-    def finish(self) -> Iterable[Any]:
-        """Nothing flows on."""
-        return ()
-
     def number(self, name: str, index: int) -> int:
         """The number in the whole recording of a sensor's `index`-th kept frame."""
         return index * self._stride.get(name, 1)
@@ -106,7 +99,7 @@ class SampledFrames:
 
 
 @dataclass(slots=True)
-class QuietestFrames:
+class QuietestFrames(Stage):
     """The chunk of each sensor that changes least: it shows the noise and the standing echoes of a radar at rest."""
 
     _best: dict[str, tuple[float, Frames]] = field(default_factory=dict)
@@ -119,10 +112,6 @@ class QuietestFrames:
             change = float(np.mean(np.abs(np.diff(part.samples, axis=0)) ** 2))
             if name not in self._best or change < self._best[name][0]:
                 self._best[name] = change, part
-        return ()
-
-    def finish(self) -> Iterable[Any]:
-        """Nothing flows on."""
         return ()
 
     def frames(self) -> dict[str, Frames]:

@@ -17,8 +17,9 @@ from pydantic import Field
 from ullage.config import ImageMethod, MapMethod
 from ullage.data import Frames
 from ullage.errors import InputError, UllageError, need
+from ullage.flow import Stage
 from ullage.grids import Grid
-from ullage.pipeline import DetectStage, ImageStage, MapStage, Sink, Source, Stage, run
+from ullage.pipeline import DetectStage, ImageStage, MapStage, Sink, Source, run
 from ullage.ports.live import options_of
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions, SimulateOptions, SinkOptions, SourceOptions

@@ -28,8 +28,9 @@ from ullage.experiments.report_collectors import SampledFrames
 from ullage.experiments.run import Compared, Report, Run
 from ullage.experiments.simulated import Simulated
 from ullage.experiments.verdict import verdict
+from ullage.flow import Stage
 from ullage.grids import Grid, Image, OccupancyMap
-from ullage.pipeline import LOGGER, DetectStage, ImageStage, MapStage, Outcome, Sink, Source, Stage, run
+from ullage.pipeline import LOGGER, DetectStage, ImageStage, MapStage, Outcome, Sink, Source, run
 from ullage.processing.obstacles import ObstacleStage
 from ullage.world.scene import Scene
 
@@ -329,52 +330,34 @@ def _place(image: Image) -> list[Metric]:
 
 
 def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
-    from ullage.view import figures
-    from ullage.view.own_echo_figure import own_echo_figure
-    from ullage.view.rest_figure import rest_figure
+    from ullage.view import figures, report_figures
 
     folder, out = job.folder / "figures", []
-    frames = job.sampled.frames()
-    walls = _walls(job.scene, _height(job))
+    frames, walls = job.sampled.frames(), _walls(job.scene, _height(job))
     if pictures := job.range_time.pictures():
-        out.append(
-            figures.range_time_figure(
-                folder / "range_time.png", pictures, unit=job.range_time.unit, title=f"{job.title}: echoes over time"
-            )
-        )
+        title, unit = f"{job.title}: echoes over time", job.range_time.unit
+        out.append(figures.range_time_figure(folder / "range_time.png", pictures, unit=unit, title=title))
     if frames:
         index = min(map(len, frames.values())) // 2
         out.append(_snapshot(folder / "snapshot.png", list(frames.values()), index, job))
         if job.scene is not None and not job.live and job.scenario.sensing.fidelity == "physical":
             out.append(_explained(folder / "explain.png", *next(iter(frames.items())), index, job))
     if job.scene is None and (still := job.quietest.frames()):
-        out.append(rest_figure(folder / "rest.png", still, title=job.title))
-    found = {name: one.calibration for name, one in frames.items() if one.calibration is not None}
-    if found:
-        from ullage.view.calibration_figure import calibration_figure
-
-        out.append(calibration_figure(folder / "calibration.png", found, title=job.title))
+        out.append(report_figures.rest_figure(folder / "rest.png", still, title=job.title))
+    if found := {name: one.calibration for name, one in frames.items() if one.calibration is not None}:
+        out.append(report_figures.calibration_figure(folder / "calibration.png", found, title=job.title))
     for item in outcome.results:
         if isinstance(item, OccupancyMap):
             out.append(_draw_map(job, item))
             if job.exploration is not None:
                 out.append(_draw_exploration(job, job.exploration, item))
         elif isinstance(item, Image):
+            about: Any = {"walls": walls, "flown": job.flown, "marks": job.marks}
             notes = _image_notes(job, item, frames)
-            out.append(
-                figures.image_figure(
-                    folder / "image.png",
-                    item,
-                    title=job.title,
-                    walls=walls,
-                    flown=job.flown,
-                    marks=job.marks,
-                    notes=notes,
-                )
-            )
-    if any(found.energy_share for found in job.own_echo.found.values()):
+            out.append(figures.image_figure(folder / "image.png", item, title=job.title, notes=notes, **about))
+    if any(one.energy_share for one in job.own_echo.found.values()):
         title = f"{job.title}: own echo"
-        out.append(own_echo_figure(folder / "own_echo.png", job.own_echo.found, title=title))
+        out.append(report_figures.own_echo_figure(folder / "own_echo.png", job.own_echo.found, title=title))
     return tuple(out)
 
 
@@ -387,7 +370,7 @@ def _draw_map(job: Run, omap: OccupancyMap) -> Path:
 
 
 def _draw_exploration(job: Run, flight: Exploration, omap: OccupancyMap) -> Path:
-    from ullage.view.exploration_figure import exploration_figure
+    from ullage.view.report_figures import exploration_figure
 
     pilot = flight.pilot
     goals = [(one.t_s, one.leg.kind, one.leg.goal) for one in pilot.decisions]

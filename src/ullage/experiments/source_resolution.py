@@ -23,7 +23,6 @@ from ullage.pipeline import LOGGER, Sink, check_sink
 from ullage.pipeline import sink as open_sink
 from ullage.ports.arrays import refuse_pickle
 from ullage.ports.live import LISTED, Address
-from ullage.ports.protocol import Passing
 from ullage.ports.registry import SOURCES, reads
 from ullage.world.scene import Scene
 
@@ -274,10 +273,10 @@ class _Begun:
 
     def __init__(self, source: Any, *, wait: bool) -> None:
         self._source, self._rest = source, source.stream()
-        self.lag_s: float | None = getattr(source, "lag_s", None)
-        self.passing: Passing | None = getattr(source, "passing", None)
-        self.trial: dict[str, Frames] = getattr(source, "trial", {})
         self.first: dict[str, Frames] = next(self._rest, {}) if wait else {}
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._source, name)
 
     def stream(self) -> Iterator[dict[str, Frames]]:
         """Every piece, once."""
@@ -286,28 +285,7 @@ class _Begun:
                 yield self.first
             yield from self._rest
         finally:
-            self.close()
-
-    @property
-    def behind_s(self) -> float:
-        """How long the oldest message waits already [s]."""
-        return float(getattr(self._source, "behind_s", 0.0))
-
-    def keep_up(self, lag_s: float) -> None:
-        """From now on leave out what is later than this [s]."""
-        if (keep_up := getattr(self._source, "keep_up", None)) is not None:
-            keep_up(lag_s)
-
-    def stop(self) -> None:
-        """End the stream after what has come so far."""
-        if (stop := getattr(self._source, "stop", None)) is not None:
-            stop()
-        else:
-            self.close()
-
-    def close(self) -> None:
-        """Let go of the port."""
-        self._source.close()
+            self._source.close()
 
 
 def _of_live(

@@ -9,6 +9,7 @@ import numpy as np
 from ullage.arrays import Floats
 from ullage.data import Frames, Metric
 from ullage.grids import OccupancyMap
+from ullage.processing.metrics import cell_centres
 from ullage.processing.scatterers import Scatterer
 
 CLEAR_M = 0.3  # something occupied this close to the flown path contradicts the flight
@@ -82,8 +83,7 @@ def _on_path(frames: Frames, omap: OccupancyMap, scatterers: Sequence[Scatterer]
 
 def _occupied(omap: OccupancyMap) -> Floats:
     """Centres of the occupied cells (k, dims) [m]."""
-    cells = np.argwhere(omap.occupied)[:, ::-1]
-    return np.asarray(np.asarray(omap.grid.origin_m)[: omap.grid.dims] + (cells + 0.5) * omap.grid.step_m)
+    return cell_centres(omap.grid, np.flatnonzero(omap.occupied))[:, : omap.grid.dims]
 
 
 def _speed_m_s(frames: Frames) -> float:

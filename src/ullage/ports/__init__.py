@@ -10,13 +10,13 @@ import importlib
 from typing import Any
 
 _HOMES = {
-    "RailSource": "tracked",
-    "Sink": "protocol",
-    "Source": "protocol",
-    "open": "registry",
-    "read_map": "registry",
-    "sink": "registry",
-    "write_map": "registry",
+    "RailSource": "ports.tracked",
+    "Sink": "flow",
+    "Source": "ports.protocol",
+    "open": "ports.registry",
+    "read_map": "ports.registry",
+    "sink": "ports.registry",
+    "write_map": "ports.registry",
 }
 
 __all__ = sorted(_HOMES)
@@ -25,7 +25,7 @@ __all__ = sorted(_HOMES)
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'ullage.ports' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"ullage.ports.{_HOMES[name]}"), name)
+    return getattr(importlib.import_module(f"ullage.{_HOMES[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -20,10 +20,11 @@ from typing import Any
 from ullage.data import Detections, Frames, Trajectory
 from ullage.errors import InputError
 from ullage.files import write_whole
+from ullage.flow import Sink
 from ullage.grids import Image, OccupancyMap
 from ullage.ports import schema as ros
 from ullage.ports.intake import Once
-from ullage.ports.protocol import Item, Passed, Sink
+from ullage.ports.protocol import Item, Passed
 from ullage.ports.publisher import Message, Publisher, Role
 from ullage.ports.schema import QUALITIES, Quality
 from ullage.processing.obstacles import ObstacleSectors

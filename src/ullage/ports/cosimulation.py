@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -18,6 +17,7 @@ from ullage.arrays import Floats
 from ullage.config import Fidelity
 from ullage.data import Frames
 from ullage.errors import InputError
+from ullage.flow import Sink
 from ullage.ports.diagnostics import RadarStatus
 from ullage.ports.dynamic_scene import DynamicScene
 from ullage.ports.intake import (
@@ -34,7 +34,7 @@ from ullage.ports.intake import (
 )
 from ullage.ports.live import LiveSource
 from ullage.ports.pose_events import Feed, ModelPose, Notice, OtherModels
-from ullage.ports.protocol import Item, Sink
+from ullage.ports.protocol import Item
 from ullage.ports.rate_limiter import RateLimiter
 from ullage.radar.live import LiveRadars
 from ullage.specs import MOST_BOUNCES, RadarSpec, Rig, Spec
@@ -420,13 +420,9 @@ class PacedSink(Sink):
         parts = [item] if isinstance(item, Frames) else list(item.values()) if isinstance(item, Mapping) else []
         moments = [(int(part.t_ns[k]), n, k) for n, part in enumerate(parts) for k in range(len(part))]
         for t_ns, n, k in sorted(moments):
-            self._wait(t_ns)
+            self._limiter.wait(t_ns)
+            self.tick(t_ns)
             self.give(parts[n][k : k + 1])
-
-    def _wait(self, t_ns: int) -> None:
-        now = time.monotonic()
-        time.sleep(max(0.0, self._limiter.due_s(t_ns, now) - now))
-        self.tick(t_ns)
 
     def tick(self, t_ns: int) -> None:
         """Publish the time of the frames before each is given."""

@@ -15,8 +15,9 @@ from urllib.parse import parse_qsl
 from ullage import plugins
 from ullage.data import Frames, gathered
 from ullage.errors import InputError
+from ullage.flow import Closing, Sink
 from ullage.ports.intake import PATIENCE_S, Counters, Inbox, Log, warn
-from ullage.ports.protocol import Passing, Sink, Source, one_or_all
+from ullage.ports.protocol import Passing, Source, one_or_all
 from ullage.specs import Spec
 from ullage.world.scene import Scene
 
@@ -61,7 +62,7 @@ def named(place: str) -> Any:
     return getattr(importlib.import_module(f"ullage.ports.{module}"), name)
 
 
-class LiveSource(Source):
+class LiveSource(Closing, Source):
     """Source that measures continuously: its stream can be read once, and the past is not available.
 
     Args:
@@ -159,12 +160,6 @@ class LiveSource(Source):
     @abstractmethod
     def _release(self) -> None:
         """Close sockets and end threads; called once."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _log_throttled(self, text: str, *, kind: str = "") -> None:
         """Log a line, but the same kind at most once every few seconds."""

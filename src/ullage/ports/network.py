@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import socket
 import threading
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from ullage.errors import InputError, shown
@@ -13,6 +13,8 @@ from ullage.errors import InputError, shown
 PLACE = re.compile(r"(\w+)://([^/:\s]+)(?::(\d+))?/?", re.ASCII)
 MOST_PORT = 65535
 BUFFER_BYTES = 1 << 20
+AT_ONCE = 256
+"""Datagrams that are read before other work."""
 
 
 class Place(NamedTuple):
@@ -86,6 +88,26 @@ def bound_udp(host: str, ports: Iterable[int], *, where: str) -> socket.socket:
     sock.close()
     what = f"cannot listen on {host or 'any address'} port {tried}: {why}"
     raise InputError(what, where=where, allowed="an address and a free port of this machine")
+
+
+def datagrams(sock: socket.socket) -> Iterator[tuple[bytes, tuple[str, int]]]:
+    """Give the datagrams that wait at a socket with their senders, so many at once that a flood holds up nothing."""
+    for _ in range(AT_ONCE):
+        try:
+            yield sock.recvfrom(MOST_PORT)  # no datagram is longer
+        except BlockingIOError:
+            return
+        except OSError:  # what was sent earlier met a closed port
+            continue
+
+
+def join_group(sock: socket.socket, group: str, interface: str) -> None:
+    """Receive the datagrams of a multicast group on the interface with this address.
+
+    Raises:
+        OSError: no interface has it, or it knows no multicast.
+    """
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + socket.inet_aton(interface))
 
 
 class Closable(Protocol):

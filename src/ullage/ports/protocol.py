@@ -1,4 +1,4 @@
-"""Interfaces of every port: a source of frames, a sink for all data, and the repair of clocks."""
+"""Interfaces of every port: a source of frames, what sinks take, and the repair of clocks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,23 +86,6 @@ class Source(Protocol):
     def map(self) -> OccupancyMap | None:
         """The last map recorded, where there is one."""
         return None
-
-
-@runtime_checkable
-class Sink(Protocol):
-    """Receiver that keeps or shows items."""
-
-    def write(self, item: Item) -> None:
-        """Take one item."""
-
-    def close(self) -> None:
-        """Finish; nothing can be written afterwards."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 class Recording(Source):

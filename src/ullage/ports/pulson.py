@@ -1,14 +1,13 @@
 """PulsON 440 logs, `radar.out`: one configuration, then range scans in packets [TDSR-MRM]; and P452 scans as JSON.
 
 The configuration is bare (32 bytes), or the whole message that sets it (36) or confirms it (44). Scans are kept to the
-last sample as the radar gave them (int32, in its own counts); dropped packets leave zeros.
+last sample, in the radar's own counts; dropped packets leave zeros.
 """
 
 from __future__ import annotations
 
 import json
 import struct
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from ullage.arrays import Floats, Longs
 from ullage.errors import InputError
 from ullage.geometry import C0
-from ullage.ports.arrays import load
+from ullage.ports.arrays import Arrays, load
 from ullage.ports.intake import warn
 from ullage.ports.protocol import mend_clock, warn_of_saturation
 from ullage.specs import RadarSpec
@@ -38,17 +37,7 @@ PACKET = np.dtype({
 })  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Log:
-    """A decoded PulsON log."""
-
-    scans: NDArray[Any]  # (n, b) in the radar's counts
-    t_ns: Longs  # (n) from the first scan on
-    range_m: Floats  # (b) [m]
-    spec: RadarSpec
-
-
-def read_log(path: str | Path) -> Log:
+def read_log(path: str | Path) -> Arrays:
     """Decode a PulsON log.
 
     Raises:
@@ -72,10 +61,7 @@ def read_log(path: str | Path) -> Log:
     if rest:
         warn(f"{path}: cut within packet {whole}; the {whole} before are used")
     scans, t_ms = _assemble(packets, path)
-    t_ns = mend_clock((t_ms - t_ms[0]) * 1_000_000, where=path)
-    warn_of_saturation(scans, path)
-    range_m = _ranges(start_ps, scans.shape[1])
-    return Log(scans, t_ns, range_m, _spec(range_m, t_ns, integration))
+    return _recording(scans, (t_ms - t_ms[0]) * 1_000_000, _ranges(start_ps, scans.shape[1]), integration, path)
 
 
 def _ranges(start_ps: float, bins: int) -> Floats:
@@ -83,7 +69,7 @@ def _ranges(start_ps: float, bins: int) -> Floats:
     return np.asarray(C0 / 2 * (start_ps * 1e-12 - LEAD_S + STEP_S * np.arange(bins)))
 
 
-def read_scans(path: str | Path) -> Log:
+def read_scans(path: str | Path) -> Arrays:
     """Read scans of a P452 as JSON: `scan_start` and `scan_end` [ps], and `scans`, each [time [s], [samples]].
 
     The pulse integration is not in the file; that of the preset stands in the spec.
@@ -99,16 +85,14 @@ def read_scans(path: str | Path) -> Log:
         times, scans = np.array([row[0] for row in rows], float), np.array([row[1] for row in rows], np.int32)
     if scans.ndim != 2 or scans.shape[1] < 8 or not abs(start_ps) <= 500_000 or not (np.abs(times) < 9e9).all():
         raise InputError(f"scans of shape {scans.shape} from {start_ps:g} ps", where=path, allowed=JSON)
-    t_ns = mend_clock(np.rint((times - times[0]) * 1e9).astype(np.int64), where=path)
-    warn_of_saturation(scans, path)
-    range_m = _ranges(start_ps, scans.shape[1])
-    return Log(scans, t_ns, range_m, _spec(range_m, t_ns, None))
+    t_ns = np.rint((times - times[0]) * 1e9).astype(np.int64)
+    return _recording(scans, t_ns, _ranges(start_ps, scans.shape[1]), None, path)
 
 
 ARRAYS = ("scans", "t_ms", "range_m", "scan_start_ps", "scan_stop_ps", "scan_res", "pii")
 
 
-def read_arrays(path: str | Path) -> Log:
+def read_arrays(path: str | Path) -> Arrays:
     """Read a PulsON log that was saved as plain arrays (`.npz`): no pickled object in it is opened.
 
     Keys: `scans` (n, b) in the radar's counts, `t_ms` (n) radar clock [ms], `range_m` (b) [m], and the scalars
@@ -131,15 +115,17 @@ def read_arrays(path: str | Path) -> Log:
     if range_m.size < 8 or not np.isfinite(range_m).all() or np.any(np.diff(range_m) <= 0):
         raise InputError("range_m does not rise", where=path, allowed="at least 8 rising, finite ranges [m]")
     ticks = t_ms.astype(np.int64)
-    t_ns = mend_clock((ticks - ticks[0]) * 1_000_000, where=path)
+    return _recording(scans, (ticks - ticks[0]) * 1_000_000, range_m, int(pii.ravel()[0]), path)
+
+
+def _recording(scans: NDArray[Any], t_ns: Longs, range_m: Floats, integration: int | None, path: Path) -> Arrays:
+    """The recording of scans (n, b) in the radar's counts, at times (n) from the first one on."""
+    t_ns = mend_clock(t_ns, where=path)
     warn_of_saturation(scans, path)
-    return Log(scans, t_ns, range_m, _spec(range_m, t_ns, int(pii.ravel()[0])))
-
-
-def _spec(range_m: Floats, t_ns: Longs, integration: int | None) -> RadarSpec:
     fps = 1e9 / float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 46.0
     counts = {} if integration is None else {"pulses_per_step": 2**integration, "iterations": 1}
-    return RadarSpec.preset("pulson440", bins=len(range_m), range_start_m=float(range_m[0]), fps=fps, **counts)
+    spec = RadarSpec.preset("pulson440", bins=len(range_m), range_start_m=float(range_m[0]), fps=fps, **counts)
+    return Arrays(scans.astype(np.float32), range_m, t_ns, spec, None, None)
 
 
 def _assemble(packets: NDArray[np.void], path: Path) -> tuple[NDArray[np.int32], Longs]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -53,6 +54,11 @@ class RateLimiter:
                     return due
         self._anchor, self._newest_ns = (t_ns, now_s), t_ns
         return now_s
+
+    def wait(self, t_ns: int) -> None:
+        """Sleep until a stamp is due."""
+        now = time.monotonic()
+        time.sleep(max(0.0, self.due_s(t_ns, now) - now))
 
 
 class HasStamp(Protocol):

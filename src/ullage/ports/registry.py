@@ -12,11 +12,12 @@ from typing import Any, TypeVar
 
 from ullage import plugins
 from ullage.errors import InputError, need, shown
+from ullage.flow import Sink
 from ullage.grids import OccupancyMap
 from ullage.ports.arrays import refuse_pickle
 from ullage.ports.guarded import GuardedSource, only_files
 from ullage.ports.live import LISTED, LISTED_SINKS, LIVE, Address, named
-from ullage.ports.protocol import Item, Sink, Source, WholeSource
+from ullage.ports.protocol import Item, Source, WholeSource
 from ullage.ports.tracked import open_tracked
 from ullage.untrusted import load_yaml, read_yaml, reading, regular_size
 
@@ -277,9 +278,6 @@ class MapSink(Sink):
         """Replace the file if the item is a map."""
         if isinstance(item, OccupancyMap):
             write_map(item, self.path, **self._options)
-
-    def close(self) -> None:
-        """Do nothing: the file is complete."""
 
 
 def with_options(make: Callable[..., Made], path: Path, options: dict[str, Any]) -> Made:

@@ -14,9 +14,10 @@ import numpy as np
 
 from ullage.data import Calibration, Frames, joined, sensors_of
 from ullage.errors import InputError, need
+from ullage.flow import Sink
 from ullage.grids import Grid, OccupancyMap
 from ullage.ports import conversions
-from ullage.ports.protocol import Item, Sink, Source, one_or_all
+from ullage.ports.protocol import Item, Recording
 from ullage.untrusted import FREE_BYTES, check_unpacked
 
 ROWS = 256  # frames in a chunk
@@ -119,7 +120,7 @@ class ZarrSink(Sink):
             raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
 
 
-class ZarrSource(Source):
+class ZarrSource(Recording):
     """Reads a store; streaming reads only the rows it hands out.
 
     Args:
@@ -131,7 +132,7 @@ class ZarrSource(Source):
 
     def __init__(self, path: str | Path) -> None:
         zarr: Any = need("zarr", extra="zarr")
-        self.path = Path(path)
+        super().__init__(path)
         try:
             self._root: Any = zarr.open_group(str(self.path), mode="r", zarr_format=3)
             known = str(self._root.attrs.get("format", "")).startswith("ullage frames")
@@ -140,23 +141,8 @@ class ZarrSource(Source):
         if not known:
             raise InputError("not a store of ullage's", where=self.path, allowed="what ul.sink('name.zarr') wrote")
 
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Names of the radars."""
-        return tuple(sorted(name for name in self._root.group_keys() if name != "map"))
-
-    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Everything of one sensor as Frames, or of several as a dict by name.
-
-        Raises:
-            InputError: no such sensor, or the store is damaged.
-        """
-        names = self.sensors if sensor is None else (sensor,)
-        if not self.sensors:
-            raise InputError("no radar frames in it", where=self.path)
-        if sensor is not None and sensor not in self.sensors:
-            raise InputError(f"no sensor {sensor!r}", where=self.path, allowed=", ".join(self.sensors))
-        return one_or_all({name: self._cut(name, 0, None) for name in names if name in self.sensors}, sensor)
+    def _names(self) -> Iterator[str]:
+        return (name for name in sorted(self._root.group_keys()) if name != "map")
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
@@ -172,7 +158,7 @@ class ZarrSource(Source):
             check_unpacked(array.nbytes, stored, what=name, where=self.path)
         return array
 
-    def _cut(self, name: str, start: int, stop: int | None) -> Frames:
+    def _cut(self, name: str, start: int, stop: int) -> Frames:
         try:
             group, rows = self._root[name], slice(start, stop)
             t_ns = self._array(group, "t_ns")[rows]

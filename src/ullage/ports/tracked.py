@@ -15,7 +15,7 @@ from ullage.ports.arrays import Arrays, names_in, read_npz, refuse_pickle
 from ullage.ports.intake import warn
 from ullage.ports.motive import read_tracks
 from ullage.ports.protocol import Source, WholeSource
-from ullage.ports.pulson import Log, read_arrays, read_log, read_scans
+from ullage.ports.pulson import read_arrays, read_log, read_scans
 from ullage.ports.survey import Survey, read_survey
 from ullage.ports.tracks import read_bodies
 from ullage.ports.vehicle_logs import read_dataflash, read_nmea, read_ulog
@@ -66,7 +66,7 @@ def open_arrays(path: Path, *, preset: str | None = None, mount: MountSpec | Non
     names = names_in(path)
     if holds_sessions(names):
         return WholeSource(read_sessions(path, mount=mount))
-    arrays = _of_log(read_arrays(path)) if "scans" in names else read_npz(path, preset=preset)
+    arrays = read_arrays(path) if "scans" in names else read_npz(path, preset=preset)
     frames = _frames(arrays, arrays.track, mount, path)
     return WholeSource({frames.sensor: frames}, path=arrays.track or arrays.poses)
 
@@ -78,7 +78,7 @@ def open_log(path: Path) -> WholeSource:
         InputError: as `read_log` and `read_scans`.
     """
     log = read_scans(path) if path.suffix.lower() == ".json" else read_log(path)
-    frames = _frames(_of_log(log), None, None, path)
+    frames = _frames(log, None, None, path)
     return WholeSource({frames.sensor: frames})
 
 
@@ -138,10 +138,6 @@ def _read(path: Path, *, topic: str, datum: str) -> dict[str, Trajectory]:
 
             return {"radar": read_track(path, topic=topic, datum=datum)}
         return read_bodies(path)
-
-
-def _of_log(log: Log) -> Arrays:
-    return Arrays(log.scans.astype(np.float32), log.range_m, log.t_ns, log.spec, None, None)
 
 
 def _beside(frames: Frames, track: Trajectory, mount: MountSpec | None, where: Path) -> Frames:

@@ -19,7 +19,7 @@ from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.ports.intake import warn
-from ullage.ports.protocol import Source, mend_clock, one_or_all
+from ullage.ports.protocol import Recording, mend_clock
 from ullage.specs import RadarSpec
 
 DRIVER_C = 3e8
@@ -38,7 +38,7 @@ class Rows:
     spec: RadarSpec
 
 
-class X4Source(Source):
+class X4Source(Recording):
     """An X4 recording, read from disk as it is used.
 
     Args:
@@ -51,7 +51,7 @@ class X4Source(Source):
     """
 
     def __init__(self, path: str | Path, *, fps: float | None = None, range_start_m: float | None = None) -> None:
-        self.path = Path(path)
+        super().__init__(path)
         if fps is None:
             warn(f"{self.path}: times are not recorded; 17 frames a second are assumed (say fps=)")
         self._rows = open_rows(self.path, 17.0 if fps is None else fps, range_start_m)
@@ -59,14 +59,8 @@ class X4Source(Source):
         t_ns = np.rint((counter - counter[0]) * (1e9 / self._rows.spec.fps)).astype(np.int64)
         self._t_ns = mend_clock(t_ns, where=self.path)
 
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """One radar, `x4`."""
-        return ("x4",)
-
-    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """The whole recording."""
-        return one_or_all({"x4": self._cut(0, len(self._t_ns))}, sensor)
+    def _names(self) -> Iterator[str]:
+        yield "x4"
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """The same in pieces of at most `chunk` frames."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Floats
 from ullage.data import Frames, Recording, sensors_of
+from ullage.flow import Stage
 from ullage.processing.baseband import has_phase, is_amplitude
 from ullage.processing.echoes import FALSE_ALARM
 
@@ -78,7 +79,7 @@ class _Sensor:
 
 
 @dataclass(slots=True)
-class HealthMonitor:
+class HealthMonitor(Stage):
     """Judge each frame of each radar as it comes; as a stage of a run it gives no results.
 
     Where `RadarSpec.noise` is None, silence is normal, and frames may repeat while the radar rests.
@@ -108,10 +109,6 @@ class HealthMonitor:
     def update(self, chunk: dict[str, Frames]) -> Iterable[Any]:
         """Judge a chunk."""
         self.judge(chunk)
-        return ()
-
-    def finish(self) -> Iterable[Any]:
-        """Nothing is left over."""
         return ()
 
     def fault(self, name: str, t_ns: int | None = None) -> str:

@@ -137,6 +137,14 @@ def cell_centres(grid: Grid, cells: Longs) -> Floats:
     return np.column_stack([grid.x_m[where[-1]], grid.y_m[where[-2]], z])
 
 
+def on_map(omap: OccupancyMap, points: Floats) -> Bools:
+    """Whether each point (s, 3) of a surface lies within 0.15 m of an occupied cell."""
+    centres = cell_centres(omap.grid, np.flatnonzero(omap.occupied))[:, : omap.grid.dims]
+    if not len(centres):
+        return np.zeros(len(points), bool)
+    return np.asarray(cKDTree(centres).query(points[:, : omap.grid.dims])[0] <= MATCH_M)
+
+
 def _share(flags: Bools, empty: float = 0.0) -> float:
     return float(np.mean(flags)) if flags.size else empty
 

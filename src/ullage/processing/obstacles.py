@@ -20,6 +20,7 @@ from ullage.antenna import boresight_pattern
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.data import Detections, Frames
 from ullage.errors import InputError
+from ullage.flow import Stage
 from ullage.geometry import C0, quat_matrix, transform
 from ullage.processing import bearings
 from ullage.processing.baseband import envelope, has_phase, noise_correlation
@@ -161,7 +162,7 @@ _Found = tuple[Detections, Longs, list[_Profile]]
 
 
 @dataclass(slots=True)
-class ObstacleStage:
+class ObstacleStage(Stage):
     """Obstacle distances, one `ObstacleSectors` for each time at which a frame came.
 
     Args:
@@ -210,10 +211,6 @@ class ObstacleStage:
             events += [(int(t_ns), name, row) for row, t_ns in enumerate(part.t_ns)]
         events.sort()
         return self._steps(events, chunk, found)
-
-    def finish(self) -> Iterable[Any]:
-        """Nothing is left over."""
-        return ()
 
     def sectors(self, t_ns: int) -> ObstacleSectors:
         """Return the obstacles at a time, also when no frame has come [ns]."""

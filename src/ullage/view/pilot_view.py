@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.data import Detections, Frames, Trajectory, sensors_of
+from ullage.flow import Sink
 from ullage.geometry import quat_rpy
 from ullage.grids import Grid, OccupancyMap
 
@@ -23,7 +24,7 @@ FRESH_NS = 1_000_000_000
 """An echo is shown for so long [ns]."""
 
 
-class PilotView:
+class PilotView(Sink):
     """Sink that keeps the last state, echoes and map of a flight, and gives them as lines of text.
 
     Args:
@@ -98,9 +99,6 @@ class PilotView:
                 rows[row][column] = HEADINGS[round(heading / (math.pi / 2)) % 4]
         legend = f"# occupied   . free   {HEADINGS} drone   a character is {wide_m:g} m wide, {2 * wide_m:g} m high"
         return ["".join(row).rstrip() for row in rows] + [legend]
-
-    def close(self) -> None:
-        """Nothing is open."""
 
 
 def side_of(yaw_deg: float, pitch_deg: float) -> str:

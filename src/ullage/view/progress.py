@@ -120,8 +120,13 @@ class ProgressBar:
         self.title = text
         self.bar.update(self.task, description=text)
 
+    def at(self, done: float, text: str) -> None:
+        """Report the amount done and the current work; the address of a dashboard gets a line of its own."""
+        (log if text.startswith("dashboard") else self.retitle)(text)
+        self(done)
+
     def log(self, text: str) -> None:
-        """Do the same, in a separate line without a terminal."""
+        """Retitle the bar, in a separate line without a terminal."""
         self.retitle(text)
         if not console.is_terminal:
             log(text)

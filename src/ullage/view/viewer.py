@@ -6,7 +6,7 @@ import time
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ullage.arrays import Floats, Longs, Singles
 from ullage.data import Detections, Frames, Recording, Trajectory, sensors_of
 from ullage.errors import InputError, UllageWarning, need
+from ullage.flow import Sink
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.view import viewer_plots as plots
 from ullage.view import viewer_scene as scene_view
@@ -35,7 +36,7 @@ SURFACE_COLORS = {"plane": "#1a73e6", "cylinder": "#8c40d9", "edge": "#e6334d", 
 IMAGE_DB = 30.0  # dynamic range of radar images below their peak
 
 
-class ViewerSink:
+class ViewerSink(Sink):
     """Shows worlds, flight, echoes, detections, maps and images, live or in a file.
 
     Args:
@@ -113,12 +114,6 @@ class ViewerSink:
         finally:
             if not self.address:
                 self._rec.disconnect()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _frames(self, chunk: Recording) -> None:
         parts = sensors_of(chunk)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ullage.data import Frames, sensors_of
 from ullage.errors import InputError
+from ullage.flow import Sink
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,7 +21,7 @@ EVERY_S = 0.1
 FLOOR = 1e-9
 
 
-class WindowSink:
+class WindowSink(Sink):
     """Draws amplitude over range of each radar's newest frame, at most ten times a second.
 
     Args:
@@ -75,12 +76,6 @@ class WindowSink:
             import matplotlib.pyplot as plt
 
             plt.close(self.figure)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def check_display() -> None:

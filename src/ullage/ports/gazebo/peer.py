@@ -12,9 +12,10 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 from ullage.errors import InputError
+from ullage.flow import Closing
 from ullage.ports.intake import Counters, Inbox
 
 MOST_WAITING = 200_000
@@ -66,7 +67,7 @@ class Unresponsive:
 Event = Received | TopicOffered | ProcessLeft | Connected | Disconnected | Unresponsive
 
 
-class Peer(ABC):
+class Peer(Closing, ABC):
     """One process on the network of a Gazebo.
 
     Args:
@@ -118,12 +119,6 @@ class Peer(ABC):
         """Leave the network and close every socket."""
         self._do(self._stop)
         self._thread.join(timeout=5)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _do(self, job: Callable[..., None], *args: Any) -> None:
         """Run a job in the thread that owns the sockets; after the end, not at all."""

@@ -22,6 +22,7 @@ from typing import Any
 from ullage.errors import InputError, need
 from ullage.ports.gazebo.messages import gz
 from ullage.ports.gazebo.peer import MOST_WAITING, Peer, ProcessLeft, Received, TopicOffered
+from ullage.ports.network import datagrams, join_group
 
 HEARTBEAT_S, SILENCE_S = 1.0, 3.0
 """Time between two heartbeats, and the silence after which a peer counts as gone [s]."""
@@ -155,11 +156,8 @@ class TransportPeer(Peer):
             self._group[port].sendto(datagram(kind, self.uuid, **parts), (GROUP, port))
 
     def _receive_group(self, port: int) -> None:
-        while True:
-            try:
-                found = read_datagram(self._group[port].recv(65536))
-            except BlockingIOError:
-                return
+        for data, _ in datagrams(self._group[port]):
+            found = read_datagram(data)
             if found is not None and found.process_uuid != self.uuid:
                 self._take_in(found, port)
 
@@ -358,8 +356,7 @@ def discovery_socket(port: int, host: str) -> socket.socket:
         out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(host))
         out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
         _bind_to_group(out, port)
-        member = socket.inet_aton(GROUP) + socket.inet_aton(host)
-        out.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+        join_group(out, GROUP, host)
     except OSError as error:
         out.close()
         raise InputError(

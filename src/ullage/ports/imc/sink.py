@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from ullage.flow import Sink
 from ullage.ports.imc.codec import readable
 from ullage.ports.imc.frames import BODY, MessageEncoder, TimedMessage
 from ullage.ports.imc.link import Link, leave, open_link
@@ -11,7 +12,7 @@ from ullage.ports.imc.options import SinkOptions
 from ullage.ports.imc.relay import Outgoing, RosToImc
 from ullage.ports.imc.wires import Entity, Identity
 from ullage.ports.intake import Log, warn
-from ullage.ports.protocol import Item, Passed, Sink
+from ullage.ports.protocol import Item, Passed
 from ullage.ports.rate_limiter import RateLimiter
 
 FIRST_RELAYED, LAST_RELAYED = 100, 254
@@ -62,8 +63,7 @@ class ImcSink(Sink):
         t_s = timed.t_ns * 1e-9
         if self._epoch_s is None:
             self._epoch_s = 0.0 if t_s > EPOCH_S else time.time() - t_s
-        now = time.monotonic()
-        time.sleep(max(0.0, self._limiter.due_s(timed.t_ns, now) - now))
+        self._limiter.wait(timed.t_ns)
         self._link.send(timed.message, entity=timed.entity, t_s=self._epoch_s + t_s)
 
     def _relay(self, one: Outgoing) -> None:

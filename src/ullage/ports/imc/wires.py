@@ -20,7 +20,7 @@ from ullage.ports.imc.codec import NOBODY, Malformed, Message, Packet, Parser, d
 from ullage.ports.imc.options import LinkOptions
 from ullage.ports.imc.table import Table
 from ullage.ports.intake import Counters, Inbox, Log, Once
-from ullage.ports.network import address_of, bound_udp, udp_socket
+from ullage.ports.network import address_of, bound_udp, datagrams, join_group, udp_socket
 
 MOBILE_SENSOR = 7
 REPORT = 0
@@ -331,13 +331,7 @@ class UdpWire(Wire):
 
     def _read(self, sock: socket.socket) -> list[Packet]:
         found = []
-        for _ in range(256):  # so that a flood does not keep us from our other work
-            try:
-                data, (host, port) = sock.recvfrom(65535)
-            except BlockingIOError:
-                break
-            except OSError:  # what we sent earlier met a closed port
-                continue
+        for data, (host, port) in datagrams(sock):
             if self._local and not ipaddress.ip_address(host).is_loopback:
                 continue
             try:
@@ -446,8 +440,7 @@ def _group(interface: str, port: int) -> list[socket.socket]:
     sock = udp_socket()
     try:
         sock.bind((GROUP, port))
-        member = socket.inet_aton(GROUP) + socket.inet_aton(address_of(interface, where="imc"))
-        sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+        join_group(sock, GROUP, address_of(interface, where="imc"))
     except OSError:  # multicast is not to be had here; announcements sent to our own address still arrive
         sock.close()
         return []

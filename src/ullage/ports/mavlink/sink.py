@@ -8,12 +8,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping
-from typing import Self
 
 import numpy as np
 
 from ullage.data import Frames
 from ullage.errors import InputError
+from ullage.flow import Due, Sink
 from ullage.ports.intake import Log, warn
 from ullage.ports.mavlink.brake import ModeBrake
 from ullage.ports.mavlink.encode import distance_sensors, obstacle_distance
@@ -36,7 +36,7 @@ TELL_S = 10.0
 TOPIC = "OBSTACLE_DISTANCE"
 
 
-class MavlinkSink:
+class MavlinkSink(Sink):
     """Sends the obstacle distances of a run to an autopilot, from a thread of its own, at the pace of the frames.
 
     The run's own `ObstacleSectors` are sent where there are some; else an `ObstacleStage` makes them of its frames.
@@ -71,7 +71,7 @@ class MavlinkSink:
         self._own = False  # the run has none
         self._limiter = RateLimiter(options.pace)
         self._live: bool | None = None  # whether stamps are of the present: the first item decides, as it comes
-        self._due_ns: int | None = None  # when the next distances are sent, by the clock of the stream
+        self._due = Due(1 / options.obstacle_hz, STEP_BACK_S)
         self._rate = _Rate(self._log)
         self._faults: dict[str, str] = {}  # that the autopilot was told of
         self._told_s = 0.0
@@ -120,7 +120,7 @@ class MavlinkSink:
     def _queue_up(self, found: Iterable[ObstacleSectors]) -> None:
         """Hand over at most `obstacle_hz` a second; waits while the thread is far behind."""
         for sectors in found:
-            if not self._is_due(sectors.t_ns):
+            if not self._due.reached(sectors.t_ns):
                 continue
             while self._error is None:
                 try:
@@ -130,16 +130,6 @@ class MavlinkSink:
                     continue
             if self._error is not None:
                 raise self._error
-
-    def _is_due(self, t_ns: int) -> bool:
-        """Whether distances of this time are sent; at most `obstacle_hz` a second are, in the mean."""
-        step_ns, due_ns = round(1e9 / self._options.obstacle_hz), self._due_ns
-        # a stamp that lies far back comes after a step of the clock; one that lies a little back was thinned out
-        if due_ns is not None and due_ns - step_ns - STEP_BACK_S * 1e9 <= t_ns < due_ns:
-            return False
-        on_time = due_ns is not None and 0 <= t_ns - due_ns < step_ns
-        self._due_ns = (due_ns if on_time and due_ns is not None else t_ns) + step_ns
-        return True
 
     def _run(self) -> None:
         try:
@@ -177,8 +167,7 @@ class MavlinkSink:
                 return
             boot_ns = self.link.boot_ns(sectors.t_ns)
         elif self._options.pace:
-            now = time.monotonic()
-            time.sleep(max(0.0, self._limiter.due_s(sectors.t_ns, now) - now))
+            self._limiter.wait(sectors.t_ns)
         t_ns = sectors.t_ns if boot_ns is None else boot_ns
         if self._options.sensors:  # before the other: where both tell of one direction, autopilots keep the later
             for message in distance_sensors(sectors, t_ns // 1_000_000):
@@ -235,12 +224,6 @@ class MavlinkSink:
             leave(self.link, "sink")
         if self._error is not None:
             raise self._error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 class _Rate:

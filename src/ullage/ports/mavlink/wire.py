@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from ullage.errors import InputError, need
 from ullage.ports.intake import Counters, Log
 from ullage.ports.mavlink.options import LinkOptions
-from ullage.ports.network import Place, address_of, bound_udp
+from ullage.ports.network import Place, address_of, bound_udp, datagrams
 
 DIALECT = "pymavlink.dialects.v20.ardupilotmega"
 """It holds the messages of `common`, which PX4 and ArduPilot share, and those that ArduPilot sends beside them."""
@@ -23,8 +23,6 @@ Sender = tuple[str, int]
 MOST_SENDERS = 8
 FORGET_S = 10.0
 """A listening port answers those who sent within this time [s]."""
-DATAGRAMS = 256
-"""Read at once, so that a flood does not keep the link from its other work."""
 REOPEN_S = 1.0
 CONNECT_S = 2.0
 """A peer that takes no packet of a connection for so long is gone [s]."""
@@ -151,19 +149,8 @@ class UdpWire:
 
     def receive(self, timeout_s: float) -> list[tuple[Sender, bytes]]:
         """Datagrams that have come; waits at most so long for the first."""
-        out: list[tuple[Sender, bytes]] = []
-        if not select.select([self._socket], [], [], timeout_s)[0]:
-            return out
-        for _ in range(DATAGRAMS):
-            try:
-                data, sender = self._socket.recvfrom(65535)
-            except BlockingIOError:
-                break
-            except OSError:  # what was sent earlier met a closed port
-                continue
-            if self._accepted(sender):
-                out.append((sender, data))
-        return out
+        select.select([self._socket], [], [], timeout_s)
+        return [(sender, data) for data, sender in datagrams(self._socket) if self._accepted(sender)]
 
     def _accepted(self, sender: Sender) -> bool:
         if self._peer is not None:

@@ -9,10 +9,11 @@ from collections.abc import Mapping
 
 from ullage.data import Frames, sensors_of
 from ullage.errors import InputError
+from ullage.flow import Sink
 from ullage.ports import schema as ros
 from ullage.ports.diagnostics import TOPIC, Status
 from ullage.ports.intake import warn
-from ullage.ports.protocol import Item, Sink
+from ullage.ports.protocol import Item
 from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_present, on
 from ullage.ports.rate_limiter import LATE_S, RateLimiter, StampOrder
 from ullage.ports.ros2.middleware import Peer
