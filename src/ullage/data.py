@@ -301,6 +301,9 @@ class Calibration:
     probability: float = 0.0  # posterior probability of this candidate; 0: not estimated
     modes: tuple[tuple[float, float, float], ...] = ()  # candidates: clock [s], range [m], probability; best first
     clock_posterior: tuple[tuple[float, float], ...] = ()  # clock offset [s], log density below its greatest value
+    scale: float = 1.0  # how many times as large as given the echoes take the track to be; it was not applied
+    scale_sigma: float = 0.0  # one sigma; 0: not estimated
+    message: str = ""  # what is suspected of the track, and what the echoes cannot tell
 
     def __post_init__(self) -> None:
         for name in ("modes", "clock_posterior"):  # JSON gives lists

@@ -13,16 +13,17 @@ from numpy.typing import ArrayLike
 from ullage.arrays import Floats
 from ullage.data import Calibration, Frames, Trajectory, one_sensor
 from ullage.errors import CalibrationError, InputError, UllageWarning
+from ullage.geometry import quat_matrix
 from ullage.processing.baseband import checked
 from ullage.processing.bundle import CLOCK, PARAMETERS, RANGE, RATE, Bundle, adjusted
 from ullage.processing.motion_match import Gains, MotionMatch
 from ullage.processing.point_focus import Point, PointFocus, Start
+from ullage.processing.track_check import DECISIVE, LEAST_PROBABILITY, track_axes, track_scale
 from ullage.specs import RadarSpec
 
 Progress = Callable[[float], None]
 Guess = Sequence[float] | Calibration
 
-LEAST_PROBABILITY = 0.95
 LEAST_TRACK_M = 0.15
 COARSE_S, FINE_S, MODE_S = 0.1, 0.02, 0.15  # steps of the clock search, and half the width of a mode
 LEAST_OVERLAP = 0.2  # of the shorter of track and recording
@@ -91,7 +92,8 @@ def calibrate(
         progress: called with the share of the work done.
 
     Raises:
-        CalibrationError: no clock offset has a probability of 95 %, or the echoes do not follow the track.
+        CalibrationError: no clock offset has a probability of 95 %, the echoes do not follow the track, or they fit one
+            of another scale.
         InputError: no poses, no phase, a track that does not move or does not overlap, or unusable places or guesses.
     """
     if isinstance(frames, Mapping):
@@ -113,12 +115,12 @@ def calibrate(
     if not 0 <= lever_arm_sigma_m < np.inf:
         raise InputError(f"lever_arm_sigma_m is {lever_arm_sigma_m}", where="calibrate", allowed="metres, 0 or more")
     prior = replace(_Prior.of(guess, frames, range_span_m), lever_sigma_m=lever_arm_sigma_m)
-    places = None if reflectors is None else _places(reflectors)
+    places, zero = None if reflectors is None else _places(reflectors), prior
     if places is not None and (guess is None or (not isinstance(guess, Calibration) and len(guess) < 4)):
         prior = replace(prior, range_m=0.0, range_sigma_m=np.inf)  # the survey takes the place of the radar's own zero
     match = MotionMatch(checked(frames), track)
     clock = _ClockSearch.over(match, _clock_range(frames, track, t_span_s), prior, progress)
-    found = _settle(frames, track, clock, prior, places)
+    found = _sized(frames, track, _settle(frames, track, clock, prior, places), zero)
     if progress:
         progress(1.0)
     return _corrected(frames, track, found)
@@ -189,33 +191,25 @@ class _Prior:
         return np.asarray(-0.5 * ((offset_s - self.t_s) / self.t_sigma_s) ** 2)
 
     def with_range(self, range_m: float, sigma_m: float) -> tuple[float, float]:
-        """Posterior mean and sigma of the range offset; the prior has wide tails, since cables get exchanged."""
+        """Posterior mean and sigma of the range offset."""
         at = np.linspace(-1, 1, 20001) * self.span_m
-        log_density = -0.5 * ((at - range_m) / sigma_m) ** 2
-        if np.isfinite(self.range_sigma_m):
-            away = at - self.range_m
-            core = (1 - TAIL) / self.range_sigma_m * np.exp(-0.5 * (away / self.range_sigma_m) ** 2)
-            log_density = log_density + np.log(core + TAIL / TAIL_M * np.exp(-0.5 * (away / TAIL_M) ** 2))
+        log_density = -0.5 * ((at - range_m) / sigma_m) ** 2 + self.of_range(at, self.range_sigma_m)
         density = np.exp(log_density - log_density.max())
         density /= density.sum()
         mean = float(density @ at)
         return mean, float(np.sqrt(density @ (at - mean) ** 2))
-
-    def of_survey(self, range_m: Floats) -> Floats:
-        """Logarithm of the normal prior of range offsets."""
-        return np.asarray(-0.5 * ((range_m - self.range_m) / self.range_sigma_m) ** 2)
 
     @property
     def spread_m(self) -> float:
         """Standard deviation of the range offset at which echoes focus [m]."""
         return float(np.hypot(self.range_sigma_m, self.lever_sigma_m))
 
-    def of_range(self, range_m: Floats) -> Floats:
-        """Logarithm of the prior density of range offsets at which echoes focus; it has wide tails."""
-        if not np.isfinite(self.range_sigma_m):
+    def of_range(self, range_m: Floats, sigma_m: float) -> Floats:
+        """Logarithm of the prior density of range offsets; it has wide tails, since cables get exchanged."""
+        if not np.isfinite(sigma_m):
             return np.zeros_like(range_m)
         away = range_m - self.range_m
-        core = (1 - TAIL) / self.spread_m * np.exp(-0.5 * (away / self.spread_m) ** 2)
+        core = (1 - TAIL) / sigma_m * np.exp(-0.5 * (away / sigma_m) ** 2)
         return np.asarray(np.log(core + TAIL / TAIL_M * np.exp(-0.5 * (away / TAIL_M) ** 2)))
 
     def of_bundle(self, mode_s: float, range_m: float) -> tuple[Floats, Floats]:
@@ -326,6 +320,7 @@ class _Focus:
     gain: float  # log-likelihood per independent sample over the frames as they came
     points: int
     strongest: float  # log-likelihood of the three most coherent points
+    found: tuple[Bundle, PointFocus] | None = None  # None: from surveyed places, or no points
 
 
 def _settle(
@@ -360,7 +355,32 @@ def _settle(
         probability,
         modes,
         _thinned(clock.offset_s, clock.log_posterior),
+        message=_axes(frames, track, best),
     )
+
+
+def _sized(frames: Frames, track: Trajectory, found: Calibration, prior: _Prior) -> Calibration:
+    """The same with the scale of the track; raise where it is not that of the radar's ranges."""
+    ranges = prior.ranges()
+    size = track_scale(frames, track, found.t_offset_s, ranges, prior.of_range(ranges, prior.spread_m))
+    if size.off > DECISIVE:
+        raise CalibrationError(
+            f"the echoes fit a track {size.scale:.2f} times as large (one sigma {size.sigma:.2f})",
+            where=frames.sensor,
+            allowed="positions in metres, and the radar's own range_zero_m or None",
+        )
+    said = "; ".join(filter(None, (found.message, size.words)))
+    return replace(found, scale=size.scale, scale_sigma=size.sigma, message=said)
+
+
+def _axes(frames: Frames, track: Trajectory, best: _Focus) -> str:
+    """What directions of echoes say about the track's axes."""
+    if best.found is None:
+        return ""
+    bundle, focus = best.found
+    near = np.searchsorted(track.t_ns, (focus.t_s + bundle.theta[CLOCK]) * 1e9).clip(0, len(track) - 1)
+    rotation = quat_matrix(track.quat_xyzw[near])
+    return track_axes(focus.bent(bundle.theta), rotation, bundle.points, focus.weight, frames.spec)
 
 
 def _method(spec: RadarSpec, prior: _Prior, places: Floats | None, points: int) -> str:
@@ -422,7 +442,7 @@ def _searched(focus: PointFocus, mode_s: float, prior: _Prior) -> tuple[list[Sta
     for _ in range(2):  # once more where the scatterers were drawn far from where they focus
         starts = focus.starts(clock_s, centre)
         kept = [starts[k] for k in focus.distinct(focus.drawn(starts, clock_s, centre), clock_s)]
-        value = prior.of_range(ranges) + [_total(focus.drawn(kept, clock_s, float(r))) for r in ranges]
+        value = prior.of_range(ranges, prior.spread_m) + [_total(focus.drawn(kept, clock_s, float(r))) for r in ranges]
         best_m = float(ranges[np.argmax(value)])
         if abs(best_m - centre) < REDRAWN_M:
             break
@@ -446,7 +466,8 @@ def _judged(focus: PointFocus, found: Bundle, prior: _Prior, precision: float) -
     whole = float(focus.weight.sum()) / (focus.wave_m / 2)  # independent samples of the track
     strongest = sum(sorted(one.gain for one in found.points)[-3:]) / max(1.0, LEAST_PER_SAMPLE * whole / LEAST_GAIN)
     mean = np.array([found.theta[CLOCK], range_m])
-    return _Focus(mean, np.array([sigma[CLOCK], sigma_m]), total / POINT_DISPERSION, gain, len(found.points), strongest)
+    sigmas = np.array([sigma[CLOCK], sigma_m])
+    return _Focus(mean, sigmas, total / POINT_DISPERSION, gain, len(found.points), strongest, (found, focus))
 
 
 def _surveyed(focus: PointFocus, mode_s: float, prior: _Prior, places: Floats) -> _Focus:
@@ -454,7 +475,7 @@ def _surveyed(focus: PointFocus, mode_s: float, prior: _Prior, places: Floats) -
     clocks, ranges = mode_s + SURVEY_S * np.linspace(-1, 1, 41), prior.ranges()
     for _ in range(3):
         each = np.array([focus.brightness(places, float(t), ranges) for t in clocks])  # (clocks, ranges, places)
-        value = each.sum(2) / POINT_DISPERSION + prior.of_survey(ranges)
+        value = each.sum(2) / POINT_DISPERSION - 0.5 * ((ranges - prior.range_m) / prior.range_sigma_m) ** 2
         density = np.exp(value - value.max())
         density /= density.sum()
         by_clock, by_range = density.sum(1), density.sum(0)

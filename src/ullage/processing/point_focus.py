@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 SEGMENT_WAVELENGTHS = 20.0  # part of the track that one seed is drawn from: a range offset hardly defocuses it
+CELL_WAVELENGTHS, HEIGHTS = 0.8, 5  # of the search for seeds in such parts: cells, and heights on either side
 CELLS = 1.5e8  # cell times frames over all segments, which bounds the time
 REACH_M, LEAST_RANGE_M = 6.0, 0.5
 SEED_COHERENCE = 0.35
@@ -69,9 +70,11 @@ class PointFocus:
         frames: of one radar.
         track: world_from_sensor in its own clock.
         offset_s: approximate clock offset, which selects the frames at rest.
+        finer: by how much the parts are shorter that seeds are drawn from, and the cells larger.
     """
 
-    def __init__(self, frames: Frames, track: Trajectory, offset_s: float) -> None:
+    def __init__(self, frames: Frames, track: Trajectory, offset_s: float, *, finer: float = 1.0) -> None:
+        self.finer = finer
         self.wave_m = frames.spec.wavelength_m
         self.known_s, self.position = track.t_ns * 1e-9, track.position
         self.t_s = t_s = frames.t_ns * 1e-9
@@ -138,7 +141,7 @@ class PointFocus:
         length = float(self.along[-1] - self.along[0]) if len(self.along) else 0.0
         if length < 2 * self.wave_m:
             return []
-        part = min(SEGMENT_WAVELENGTHS * self.wave_m, length)
+        part = min(SEGMENT_WAVELENGTHS / self.finer * self.wave_m, length)
         centres = self.along[0] + part / 2 + (length - part) * np.linspace(0, 1, max(1, int(np.ceil(length / part))))
         spread = np.linalg.svd(path - path.mean(0), compute_uv=False) / np.sqrt(len(path))
         flat = spread[1] < self.wave_m  # a straight track sees the same from every height
@@ -157,8 +160,9 @@ class PointFocus:
         self, path: Floats, use: Longs, taper: Floats, range_m: float, flat: bool, segments: int
     ) -> list[tuple[float, Floats]]:
         """Peaks of coherence in a box around a part of the track."""
-        cell, middle = 0.8 * self.wave_m, path.mean(0)
-        heights = np.zeros(1) if flat else np.arange(-5, 6) * 5.0 * cell
+        cell, middle = CELL_WAVELENGTHS * self.finer * self.wave_m, path.mean(0)
+        levels = int(HEIGHTS / self.finer)
+        heights = np.zeros(1) if flat else np.arange(-levels, levels + 1) * 5.0 * cell
         reach = min(REACH_M, self.last_m + range_m)
         most = np.sqrt(CELLS / (segments * len(use) * len(heights))) * cell / 2
         half = np.arange(-min(reach, most), min(reach, most) + cell, cell)
