@@ -2,8 +2,8 @@
 
 The samples of each sensor in the aperture are summed coherently, and the sizes of these sums are added, each with the
 two-way gain of its antenna in the direction of a hypothesis. The energy that they explain, over all energy along the
-same range, is the coherence of the hypothesis. A wrong direction fails in phase along the track, and in level between the sensors. Straight up and down
-are hypotheses as all others, so that floor and ceiling explain their own echoes.
+same range, is the coherence of the hypothesis. A wrong direction fails in phase along the track, and in level between
+the sensors. Straight up and down are hypotheses as all others, so that floor and ceiling explain their own echoes.
 """
 
 from __future__ import annotations
