@@ -29,7 +29,8 @@ def lying_tank() -> list[Solid]:
     turn = np.linspace(0, math.pi / 2, 11)
     head = radius * np.stack([np.sin(turn), 0.5 * (1 - np.cos(turn))], axis=1)  # from the middle to the cylinder
     profile = np.concatenate([head, head[::-1] * [1, -1] + [0, straight + radius]])
-    body = revolved(*profile.T, FACET_M)
+    radii, heights = profile.T
+    body = revolved(radii, heights, FACET_M)
     along_x = transform((-(straight + radius) / 2, 0, radius), np.radians([0, 90, 0]))
     body = replace(body, points=apply(along_x, body.points))
     shell = _part_of(body, 10, 12)
