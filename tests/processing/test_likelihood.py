@@ -396,11 +396,11 @@ def test_laps_over_the_same_places_add_neither_evidence_nor_surfaces():
     count = len(path)
     reflectors = wall(90, 2.4), wall(-40, 3.0), pillar((1.4, -1.8), 0.2)
     mapper, seen, odds = LikelihoodMapper(GRID), [], []
-    for lap in range(6):
+    for lap in range(5):
         rows = np.arange(count)[:: (-1) ** lap]
         t_ns = (np.arange(count) + lap * count) * 120_000_000
         mapper.update(flown(Trajectory(t_ns, path.position[rows], path.quat_xyzw[rows]), *reflectors, seed=lap))
-        if lap in (1, 4, 5):
+        if lap in (1, 3, 4):
             surfaces = mapper.surfaces()
             seen.append(sum(one.seen for one in surfaces))
             odds.append(max(one.log_odds for one in surfaces))
@@ -412,10 +412,10 @@ def test_directions_are_summed_as_the_definition_says():
     rng = np.random.default_rng(5)
     rows, bins = 24, 60
     samples = rng.normal(size=(rows, bins, 2)).astype(np.float32)
-    offset, sensor = rng.normal(size=(rows, 3)) * 4, np.arange(rows) // 8
+    offset, sensor = rng.normal(size=(rows, 3)) * 4, np.arange(rows) % 3
     gains = np.linspace(1.0, 0.2, 2001) * np.array([[1.0], [0.8], [0.6]])
     axes, phase = np.eye(3), 1.7
-    aperture = Aperture(samples, offset, sensor, axes, gains, phase, np.arange(rows) % 8, np.zeros((3, 3)))
+    aperture = Aperture(samples, offset, sensor, axes, gains, phase, np.arange(rows) // 3, np.zeros((3, 3)))
     directions = rng.normal(size=(70, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     sums = DirectionSums(directions)
@@ -432,8 +432,8 @@ def test_directions_are_summed_as_the_definition_says():
             at = k + delay
             whole = (np.floor(at) >= 0) & (np.floor(at) < bins - 1)
             value = [np.interp(x, np.arange(bins), row) for x, row in zip(at, signal, strict=True)]
-            z = np.where(whole, gain * np.array(value) * np.exp(1j * phase * delay), 0)
-            energy[d, k] = sum(abs(z[sensor == s].sum()) for s in range(3)) ** 2 / np.sum(gain**2)
+            z = np.sum(np.where(whole, gain * np.array(value) * np.exp(1j * phase * delay), 0))
+            energy[d, k] = abs(z) ** 2 / np.sum(gain**2)
     best, d, k = sums.strongest(1.0, 5, bins - 5)
     assert (d, k) == np.unravel_index(np.argmax(energy), energy.shape)
     assert best == pytest.approx(energy.max(), rel=1e-4)
@@ -487,11 +487,13 @@ def test_places_that_a_hover_comes_back_to_add_nothing():
     circle = np.linspace(0, 2 * np.pi, 24, endpoint=False)[:, None]
     once = way.position[-1] + 0.02 * np.concatenate([np.cos(circle) - 1, np.sin(circle), 0 * circle], axis=1)
 
-    position = np.concatenate([way.position, *[once] * 20])
-    level = np.tile([0, 0, 0, 1.0], (len(position), 1))
-    frames = flown(Trajectory(np.arange(len(position)) * 40_000_000, position, level), wall(90, 2.4))
-    first = len(way.position) + len(once)
-    short, long = mapped({name: part[:first] for name, part in frames.items()}), mapped(frames)
+    def hovered(rounds):
+        position = np.concatenate([way.position, *[once] * rounds])
+        t_ns = np.arange(len(position)) * 40_000_000
+        frames = flown(Trajectory(t_ns, position, np.tile([0, 0, 0, 1.0], (len(position), 1))), wall(90, 2.4))
+        return mapped(frames)
+
+    short, long = hovered(1), hovered(20)
     assert len(short.surfaces()) == len(long.surfaces()) >= 1
     for one, other in zip(short.surfaces(), long.surfaces(), strict=True):
         assert (one.log_odds, one.seen) == (other.log_odds, other.seen)

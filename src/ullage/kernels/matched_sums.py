@@ -25,7 +25,7 @@ class Aperture(NamedTuple):
 
     samples: NDArray[np.float32]  # (m, b, 2) baseband, real and imaginary part
     offset: NDArray[np.float64]  # (m, 3) of the sensor from the place [bin]
-    sensor: NDArray[np.int64]  # (m) row of `axes`; the frames of one sensor follow one another
+    sensor: NDArray[np.int64]  # (m) row of `axes`
     axes: NDArray[np.float64]  # (s, 3) boresights
     gains: NDArray[np.float64]  # (s, GAIN_CELLS + 1) two-way amplitude gain, against 1 - cosine
     phase: float  # of one bin of range [rad]; 0 where samples are envelopes
@@ -81,11 +81,11 @@ def _expected_coherence(aperture: Aperture, unit: Floats) -> float:
 
 
 @inner(fastmath=True)
-def _size(aperture: Aperture, real: float, imag: float) -> float:
-    """Size of a sum; sums of envelopes have no phase, and below zero they explain nothing."""
-    if aperture.phase == 0:
-        return max(real, np.float32(0.0) * real)  # type: ignore[return-value]
-    return math.sqrt(real * real + imag * imag)
+def _square(aperture: Aperture, real: float, imag: float) -> float:
+    """Energy of a sum; sums of envelopes have no phase, and below zero they explain nothing."""
+    if aperture.phase == 0 and real < 0:
+        return np.float32(0.0) * real  # type: ignore[return-value]
+    return real * real + imag * imag
 
 
 @inner(fastmath=True)
@@ -153,9 +153,7 @@ def sum_turned(
 ) -> None:
     """Energy that one reflector in each direction and bin explains.
 
-    The rows of each sensor are summed, gain times sample turned by the phase of the delay. The sizes of these sums are
-    added, squared, and divided by the sum of squared gains. Phases between sensors do not count: a mount that is off by
-    a millimetre turns them by 17 deg at 7.3 GHz, and few are known so well.
+    The sum over rows of gain times sample, turned by the phase of the delay, squared, over the sum of squared gains.
     Where the positions have errors, the sums of the moments count by their sizes as far as their phases are unknown.
 
     Args:
@@ -170,7 +168,6 @@ def sum_turned(
     """
     rows, bins = aperture.samples.shape[0], aperture.samples.shape[1]
     real, imag = np.empty(high - low, np.float32), np.empty(high - low, np.float32)
-    size = np.empty(high - low, np.float32)
     one, reach = np.uint64(1), 0.0
     for i in range(rows):
         o = aperture.offset[i]
@@ -186,7 +183,6 @@ def sum_turned(
     for d in range(start, stop):
         coherence = _expected_coherence(aperture, turns.directions[d])
         apart = coherence < COHERENT
-        size[:] = 0.0
         real[:] = 0.0
         imag[:] = 0.0
         if apart:
@@ -211,20 +207,15 @@ def sum_turned(
                     parts[0, t, k] += u * c - v * s
                     parts[1, t, k] += u * s + v * c
                     at += one
-            if n + 1 == turns.counted[d] or aperture.sensor[turns.row[d, n + 1]] != aperture.sensor[i]:
-                for k in range(high - low):
-                    size[k] += _size(aperture, real[k], imag[k])
-                real[:] = 0.0
-                imag[:] = 0.0
         scale = np.float32(1 / turns.total[d])
         for k in range(high - low):
-            out[d, low + k] = size[k] * size[k] * scale
+            out[d, low + k] = _square(aperture, real[k], imag[k]) * scale
         if apart:
             for k in range(high - low):
-                sizes = np.float32(0.0)
+                size = np.float32(0.0)
                 for t in range(moments):
-                    sizes += math.sqrt(parts[0, t, k] * parts[0, t, k] + parts[1, t, k] * parts[1, t, k])
-                out[d, low + k] = coherence * out[d, low + k] + (1 - coherence) * sizes * sizes * scale
+                    size += math.sqrt(parts[0, t, k] * parts[0, t, k] + parts[1, t, k] * parts[1, t, k])
+                out[d, low + k] = coherence * out[d, low + k] + (1 - coherence) * size * size * scale
 
 
 @loop()
@@ -286,10 +277,12 @@ def _fit_at(
         parts[aperture.moment[i], 1] += gain[mine] * (x * imag + y * real)
         energy += x * x + y * y
         total += gain[mine] ** 2
-    size = 0.0
+    real, imag = 0.0, 0.0
     for s in range(len(gain)):
-        size += gain[s] * _size(aperture, sums[s, 0], sums[s, 1])
-    coherence, whole = _expected_coherence(aperture, unit), size * size
+        real += gain[s] * sums[s, 0]
+        imag += gain[s] * sums[s, 1]
+    coherence = _expected_coherence(aperture, unit)
+    whole = _square(aperture, real, imag)
     if coherence < COHERENT:
         size = 0.0
         for t in range(len(parts)):

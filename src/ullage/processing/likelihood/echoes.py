@@ -1,9 +1,9 @@
 """Echoes of one keyframe: the strongest reflector is found, refined and taken out of the samples; then the next.
 
-The samples of each sensor in the aperture are summed coherently, and the sizes of these sums are added, each with the
-two-way gain of its antenna in the direction of a hypothesis. The energy that they explain, over all energy along the
-same range, is the coherence of the hypothesis. A wrong direction fails in phase along the track, and in level between
-the sensors. Straight up and down are hypotheses as all others, so that floor and ceiling explain their own echoes.
+The samples of all sensors in the aperture are summed coherently, each with the two-way gain of its antenna in the
+direction of a hypothesis. The energy that the sum explains, over all energy along the same range, is the coherence of
+the hypothesis. A wrong direction fails in phase along the track, and in level between the sensors. Straight up and down
+are hypotheses as all others, so that floor and ceiling explain their own echoes.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class LikelihoodSpec:
     gate: float = 12.0  # greatest squared Mahalanobis distance of an echo: 99 % of three parameters
     echo_cost: float = 6.0  # nats that an echo must explain before it speaks for a surface
     dependence_m: float = 0.4  # track after which an echo counts in full: the length of the window
-    least_odds: float = 40.0  # log-odds of a surface on the map
+    least_odds: float = 30.0  # log-odds of a surface on the map
     least_lead: float = 6.0  # nats by which the direction of a surface must lead its rivals: odds of 400 to 1
     least_keyframes: int = 3  # of a surface on the map
     # cells
