@@ -8,14 +8,17 @@ from typing import Any
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from ullage.view import world_picture as pictures
 from ullage.view.world_picture import PATH_COLOR, save_palette_png, world_picture
 from ullage.world.library import WORLDS
 from ullage.world.section import section
 from ullage.worlds import KINDS, flight, random
 
 FOLDER = Path("docs/pictures/worlds")
-VIEWS: dict[str, dict[str, Any]] = pictures.VIEWS | {
+ROOM: dict[str, Any] = {"elevation_deg": 38, "azimuth_deg": -120, "cut_height_m": 2.55, "plan_height_m": 1.1}
+VIEWS: dict[str, dict[str, Any]] = {
+    **{f"ntnu-{name}": ROOM for name in ("room", "plate", "plate45", "pole", "wire", "mapping")},
+    "cluttered-room": {"elevation_deg": 42, "azimuth_deg": -70, "cut_height_m": 3.2, "plan_height_m": 1.0},
+    "cargo-hold": {"elevation_deg": 17, "azimuth_deg": -163, "cut_side_m": (6.0, 0.0), "plan_height_m": 4.0},
     "ballast-tank": {"elevation_deg": 20, "azimuth_deg": -48, "cut_side_m": (2.6, 1.3), "plan_height_m": 2.8},
     "lying-tank": {"elevation_deg": 22, "azimuth_deg": -70, "cut_side_m": (0.0, 1.6), "plan_height_m": 2.0},
     "pipe-rack": {"elevation_deg": 38, "azimuth_deg": -60, "cut_height_m": 5.9, "plan_height_m": 2.6},

@@ -75,7 +75,7 @@ def test_a_straight_track_without_range_zero_does_not_tell_its_scale() -> None:
     frames = frames_of_points([(2.5, y, 1.0) for y in (0.4, 1.2, 2.0)], path, spec=SPEC, noise=0.05)
     ranges = 0.06 * np.arange(-10, 11)
     free, known = (track_scale(frames, path, 0.0, ranges, prior) for prior in (0 * ranges, -0.5 * (ranges / 0.02) ** 2))
-    assert "the scale of the track is unchecked" in free.words
+    assert "do not decide the scale of the track" in free.words
     assert not known.words
 
 

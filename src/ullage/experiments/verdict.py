@@ -53,8 +53,9 @@ def verdict(
             metrics.append(Metric("reflector_to_map", off, "m"))
             words.append(_reflector(mark, off))
     if (found := frames.calibration) is not None and found.scale_sigma:
-        said = "; ".join(filter(None, (f"{found.scale:.2f} +- {found.scale_sigma:.2f} of its size", found.message)))
-        words.append(f"The echoes fit a track of {said}.")
+        words.append(f"The echoes fit a track {found.scale:.2f} +- {found.scale_sigma:.2f} times as large as given.")
+        if found.message:
+            words.append(f"{found.message[0].upper()}{found.message[1:]}.")
     mount = frames.spec.mount
     words.append(
         f"The antenna is taken to point along the body's axis turned by yaw {mount.yaw_deg:g} deg and pitch "

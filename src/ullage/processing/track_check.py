@@ -69,8 +69,7 @@ def track_scale(frames: Frames, track: Trajectory, clock_s: float, ranges_m: Flo
         gain = _coherence(PointFocus(frames, track, clock_s, finer=FINER), clock_s, ranges_m, zero_m)
         off = float(value.max() - gain.max() / DISPERSION - log_prior.max())
     sigma = float(np.sqrt(share @ (scale - mean) ** 2 + (STEP * mean) ** 2 / 12))
-    words = f"the scale of the track is unchecked: {mean:.2f} +- {sigma:.2f}, or another range zero"
-    return TrackScale(mean, sigma, off, "" if decided else words)
+    return TrackScale(mean, sigma, off, "" if decided else "the echoes do not decide the scale of the track")
 
 
 def _coherence(focus: PointFocus, clock_s: float, ranges_m: Floats, zero_m: float) -> Floats:

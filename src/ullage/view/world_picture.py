@@ -26,20 +26,13 @@ if TYPE_CHECKING:
 COLORS = {
     "steel": "#8fa3b5", "pec": "#8fa3b5", "aluminium": "#b9c4cf", "concrete": "#d9d5cc", "wood": "#c49a6c",
     "glass": "#9fd3e6", "plastic": "#f0f0ea", "rubber": "#3c3c40", "skin": "#e0a98a", "brick": "#b5654a",
-    "plasterboard": "#ece8df", "gypsum": "#ece8df", "ground": "#b8a88a",
+    "plasterboard": "#ece8df", "gypsum": "#ece8df", "ground": "#b8a88a", "water": "#6f9fc0", "sea-water": "#6f9fc0",
 }  # fmt: skip
 """Colours of materials, as hex; other materials are grey."""
 CLEAR = ("glass",)
 """Transparent materials."""
 LIGHT = np.array([-0.35, -0.55, 0.76])
 PATH_COLOR = "#d1495b"
-_ROOM_EYE: dict[str, Any] = {"elevation_deg": 38, "azimuth_deg": -120, "cut_height_m": 2.55, "plan_height_m": 1.1}
-VIEWS: dict[str, dict[str, Any]] = {
-    **{f"ntnu-{name}": _ROOM_EYE for name in ("room", "plate", "plate45", "pole", "wire", "mapping")},
-    "cluttered-room": {"elevation_deg": 42, "azimuth_deg": -70, "cut_height_m": 3.2, "plan_height_m": 1.0},
-    "cargo-hold": {"elevation_deg": 17, "azimuth_deg": -163, "cut_side_m": (6.0, 0.0), "plan_height_m": 4.0},
-}
-"""Views of the shipped worlds."""
 LEAST_SHARE = 0.1
 """Least width or height of a picture as a share of the other, for thin objects such as a plate seen edge-on."""
 PLAN_SHARE, LEAST_M = 0.4, 0.2
