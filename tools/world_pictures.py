@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -14,18 +13,6 @@ from ullage.world.section import section
 from ullage.worlds import KINDS, flight, random
 
 FOLDER = Path("docs/pictures/worlds")
-ROOM: dict[str, Any] = {"elevation_deg": 38, "azimuth_deg": -120, "cut_height_m": 2.55, "plan_height_m": 1.1}
-VIEWS: dict[str, dict[str, Any]] = {
-    **{f"ntnu-{name}": ROOM for name in ("room", "plate", "plate45", "pole", "wire", "mapping")},
-    "cluttered-room": {"elevation_deg": 42, "azimuth_deg": -70, "cut_height_m": 3.2, "plan_height_m": 1.0},
-    "cargo-hold": {"elevation_deg": 17, "azimuth_deg": -163, "cut_side_m": (6.0, 0.0), "plan_height_m": 4.0},
-    "ballast-tank": {"elevation_deg": 20, "azimuth_deg": -48, "cut_side_m": (2.6, 1.3), "plan_height_m": 2.8},
-    "lying-tank": {"elevation_deg": 22, "azimuth_deg": -70, "cut_side_m": (0.0, 1.6), "plan_height_m": 2.0},
-    "pipe-rack": {"elevation_deg": 38, "azimuth_deg": -60, "cut_height_m": 5.9, "plan_height_m": 2.6},
-    "sewer": {"elevation_deg": 35, "azimuth_deg": -55, "cut_height_m": 2.5, "plan_height_m": 1.8},
-    "silo": {"elevation_deg": 18, "azimuth_deg": -90, "cut_side_m": (0.0, 2.4), "plan_height_m": 7.0},
-}
-"""Views of the shipped worlds."""
 
 
 def random_worlds_picture(file: Path, *, seed: int = 2) -> None:
@@ -52,5 +39,5 @@ def random_worlds_picture(file: Path, *, seed: int = 2) -> None:
 
 if __name__ == "__main__":
     for world in WORLDS.values():
-        world_picture(world.scene(), FOLDER / f"{world.name}.png", waypoints=world.path_xyzyaw, **VIEWS[world.name])
+        world_picture(world.scene(), FOLDER / f"{world.name}.png", waypoints=world.path_xyzyaw, **world.view)
     random_worlds_picture(FOLDER / "random.png")

@@ -93,8 +93,8 @@ def show_world(work: Workspace, world: str, path: Path, figure: str, caption: st
     """Draw the world as a cutaway, and a plan with the flight."""
     if work.quick:
         return  # the documentation shows it
-    from ullage.view.world_picture import VIEWS, world_picture
+    from ullage.view.world_picture import world_picture
 
-    way = np.array(WORLDS[world].path_xyzyaw)
-    world_picture(WORLDS[world].scene(), path, waypoints=way, title=WORLDS[world].title, **VIEWS[world])
+    one = WORLDS[world]
+    world_picture(one.scene(), path, waypoints=np.array(one.path_xyzyaw), title=one.title, **one.view)
     work.results.add_figure(path, figure, caption)

@@ -7,9 +7,7 @@ import pytest
 
 import ullage as ul
 from ullage.view.world_picture import world_picture
-from ullage.world.library import WORLDS
 from ullage.world.scene import Scene
-from world_pictures import VIEWS
 
 RED, GREEN, BLUE = "#ff0000", "#00ff00", "#0000ff"
 
@@ -81,10 +79,6 @@ def test_file_is_a_small_png(tmp_path):
 def test_an_empty_world_is_refused():
     with pytest.raises(ul.InputError, match="nothing to draw"):
         world_picture(Scene.empty())
-
-
-def test_every_shipped_world_has_a_view():
-    assert set(VIEWS) == set(WORLDS)
 
 
 def test_a_wire_too_thin_for_a_pixel_is_drawn():

@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from ullage.world.scene import Scene
 
@@ -24,6 +26,7 @@ class World:
     name: str
     title: str
     path_xyzyaw: tuple[Waypoint, ...]  # waypoints x, y, z [m], yaw [deg]
+    view: Mapping[str, Any] = field(compare=False)  # arguments with which `ullage.view.world_picture` shows it
 
     @property
     def path(self) -> Path:
@@ -73,31 +76,58 @@ _SILO = tuple(
     for a in range(-180, 181, 30)
 )
 
+_ROOM_VIEW = {"elevation_deg": 38, "azimuth_deg": -120, "cut_height_m": 2.55, "plan_height_m": 1.1}
+
 WORLDS: dict[str, World] = {
     world.name: world
     for world in (
-        World("ntnu-room", "Motion-capture room at NTNU, 8 x 6 x 3 m, with a door and windows", _ROUND),
-        World("ntnu-plate", "The room with a steel plate in its middle", _STRAFE),
-        World("ntnu-plate45", "The room with the plate turned by 45 deg", _STRAFE),
-        World("ntnu-pole", "The room with a square steel pole on a wooden box", _STRAFE),
-        World("ntnu-wire", "The room with a steel wire against a plastic half-pipe", _STRAFE),
-        World("ntnu-mapping", "The room with a plate toward one end, for mapping", _ROUND),
+        World("ntnu-room", "Motion-capture room at NTNU, 8 x 6 x 3 m, with a door and windows", _ROUND, _ROOM_VIEW),
+        World("ntnu-plate", "The room with a steel plate in its middle", _STRAFE, _ROOM_VIEW),
+        World("ntnu-plate45", "The room with the plate turned by 45 deg", _STRAFE, _ROOM_VIEW),
+        World("ntnu-pole", "The room with a square steel pole on a wooden box", _STRAFE, _ROOM_VIEW),
+        World("ntnu-wire", "The room with a steel wire against a plastic half-pipe", _STRAFE, _ROOM_VIEW),
+        World("ntnu-mapping", "The room with a plate toward one end, for mapping", _ROUND, _ROOM_VIEW),
         World(
             "cluttered-room",
             "Hall of 12 x 10 m with car, postbox, stop sign, person, robot, control panel and dumpster",
             _HALL,
+            {"elevation_deg": 42, "azimuth_deg": -70, "cut_height_m": 3.2, "plan_height_m": 1.0},
         ),
         World(
             "cargo-hold",
             "Bulk carrier's hold, 30 x 20 x 12 m, with frames, slopes, corrugated bulkheads, ladders, pipes, a wire",
             _HOLD,
+            {"elevation_deg": 17, "azimuth_deg": -163, "cut_side_m": (6.0, 0.0), "plan_height_m": 4.0},
         ),
         World(
-            "ballast-tank", "Wing ballast tank, 16 x 4.8 x 5.6 m, with four web frames, openings, longitudinals", _WEBS
+            "ballast-tank",
+            "Wing ballast tank, 16 x 4.8 x 5.6 m, with four web frames, openings, longitudinals",
+            _WEBS,
+            {"elevation_deg": 20, "azimuth_deg": -48, "cut_side_m": (2.6, 1.3), "plan_height_m": 2.8},
         ),
-        World("lying-tank", "Lying steel tank, 4 m wide and 11 m long, with manhole, ladder and dip pipe", _TANK),
-        World("pipe-rack", "Hall of 16 x 9 x 6 m with eleven pipes on the two levels of a rack", _RACK),
-        World("sewer", "Bent concrete sewer, 3.6 m wide, with a channel, two inlets and a shaft", _SEWER),
-        World("silo", "Steel silo, 6 m wide and 11 m high, with hopper, ladder and fill pipe", _SILO),
+        World(
+            "lying-tank",
+            "Lying steel tank, 4 m wide and 11 m long, with manhole, ladder and dip pipe",
+            _TANK,
+            {"elevation_deg": 22, "azimuth_deg": -70, "cut_side_m": (0.0, 1.6), "plan_height_m": 2.0},
+        ),
+        World(
+            "pipe-rack",
+            "Hall of 16 x 9 x 6 m with eleven pipes on the two levels of a rack",
+            _RACK,
+            {"elevation_deg": 38, "azimuth_deg": -60, "cut_height_m": 5.9, "plan_height_m": 2.6},
+        ),
+        World(
+            "sewer",
+            "Bent concrete sewer, 3.6 m wide, with a channel, two inlets and a shaft",
+            _SEWER,
+            {"elevation_deg": 35, "azimuth_deg": -55, "cut_height_m": 2.5, "plan_height_m": 1.8},
+        ),
+        World(
+            "silo",
+            "Steel silo, 6 m wide and 11 m high, with hopper, ladder and fill pipe",
+            _SILO,
+            {"elevation_deg": 18, "azimuth_deg": -90, "cut_side_m": (0.0, 2.4), "plan_height_m": 7.0},
+        ),
     )
 }
