@@ -47,11 +47,21 @@ DEAF = (
     "ntnu-wire-by-hand",
 )
 """Scenarios that Elfes maps: where nothing is received, he takes all for free. The likelihood frees nothing then."""
+PLANT = ("ballast-tank", "lying-tank", "pipe-rack", "sewer", "silo")
 
 
 def nothing(*names: str) -> Mutant:
     free = tuple(f"{name}: surface_declared_free" for name in names)
     return Mutant("nothing is received", (": detections", *free), change=all_again(emptied))
+
+
+def silence_frees(*names: str) -> Mutant:
+    """Elfes in place of the likelihood, where nothing is received."""
+
+    def change(flights: Flights) -> Flights:
+        return flights | {name: again(flights[name], emptied, method="elfes") for name in names}
+
+    return Mutant("silence is free space", tuple(f"{name}: surface_declared_free" for name in names), change=change)
 
 
 BOUNDS = (
@@ -61,6 +71,7 @@ BOUNDS = (
         Mutant("ranges 0.4 m too long", ("cargo-hold-physical: surface_declared_free",), change=lambda flights:
                flights | {"cargo-hold-physical": again(flights["cargo-hold-physical"], longer(0.4))}),
         nothing(*DEAF),
+        silence_frees(*PLANT),
         Mutant("an eighth of the threshold", ("ntnu-mapping-50cm: free_found",), change=lambda flights: flights | {
             "ntnu-mapping-50cm": again(flights["ntnu-mapping-50cm"], louder(8))}),
     ), flights_of(*(name for name in scenario_names() if name not in (*NEAR_WALL, SAME_BUT_NOISE)))),
