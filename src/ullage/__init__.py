@@ -52,6 +52,7 @@ _HOMES = {
     "detect": "processing.detect",
     "focus": "processing.sar",
     "calibrate": "processing.calibrate",
+    "plan_calibration": "processing.calibration_plan",
     "own_echo": "processing.own_echo",
     "odometry": "processing.odometry.odometry",
     "Odometry": "processing.odometry.odometry",

@@ -29,6 +29,7 @@ from ullage.pipeline import sink as sink
 from ullage.ports.registry import open as open
 from ullage.processing import metrics as metrics
 from ullage.processing.calibrate import calibrate as calibrate
+from ullage.processing.calibration_plan import plan_calibration as plan_calibration
 from ullage.processing.detect import detect as detect
 from ullage.processing.guard import Guard as Guard
 from ullage.processing.obstacles import ObstacleSectors as ObstacleSectors

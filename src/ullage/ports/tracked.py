@@ -23,7 +23,8 @@ from ullage.specs import MountSpec
 from ullage.untrusted import reading
 
 BAGS = (".mcap", ".bag", ".db3")
-TRACKS = ("mocap.csv", *(f"track{kind}" for kind in (".csv", ".txt", ".tum", ".ulg", ".bin", ".nmea", *BAGS)))
+TRACK_FILES = (".csv", ".txt", ".tum", ".ulg", ".bin", ".nmea")
+TRACKS = ("mocap.csv", *(f"track{kind}" for kind in (*TRACK_FILES, *BAGS)))
 """Names of the radar's track in a folder with its recording."""
 
 
@@ -119,6 +120,16 @@ def open_tracked(
     floor_z_m = 0.0 if [one.name for one in there] == ["mocap.csv"] else None  # Motive's ground plane is on the floor
     reflectors = np.array(points).reshape(-1, 3)
     return RailSource(placed, path=tracks[name], reflectors=reflectors, survey=survey, floor_z_m=floor_z_m)
+
+
+def read_radar_track(path: Path) -> Trajectory:
+    """Read the track of the radar's body from a file: named so, or the body that moved farthest.
+
+    Raises:
+        InputError: the file is missing, of no known kind, or a line of it cannot be read.
+    """
+    tracks = _read(path, topic="", datum="")
+    return tracks[_radar_body(tracks)]
 
 
 def _read(path: Path, *, topic: str, datum: str) -> dict[str, Trajectory]:
