@@ -27,6 +27,7 @@ KINDS = ("rail", "flight", "survey", "arc", "wander")
 STRENGTHS = ("several", "one", "none")
 BINS, STEP_M, CENTER_HZ, BAND_HZ = 200, 0.055, 3.95e9, 1.7e9
 RIGHT_S, RIGHT_M = 0.05, 0.05
+UNITS = {"clock": "ms", "range": "mm"}
 
 
 def speed_profile(rng: np.random.Generator, t: np.ndarray, begin: float, end: float, speed: float) -> np.ndarray:
@@ -189,21 +190,27 @@ def scored(seed: int, kind: str, strength: str, mismatched: bool, lever_sigma_m:
 
 
 def table(rows: list[dict[str, str]]) -> str:
-    """Verdicts, normalised variances of the recordings that are right, and confident errors, by kind of path."""
-    lines = ["| path | recordings | right | refused | wrong | clock rms [ms] | variance | range rms [mm] | variance |"]
-    lines.append("|---|---|---|---|---|---|---|---|---|")
+    """Verdicts, whether the sigmas of the recordings that are right are true, and confident errors, by kind of path."""
+    scores = " | ".join(f"{name} rms [{unit}] | over sigma | within 2 sigma" for name, unit in UNITS.items())
+    lines = [f"| path | recordings | right | refused | wrong | {scores} |", "|---" * 11 + "|"]
     for kind in [*sorted({row["kind"] for row in rows}), "all"]:
         part = [row for row in rows if kind in (row["kind"], "all")]
         count = {verdict: sum(row["verdict"] == verdict for row in part) for verdict in ("right", "refused", "WRONG")}
         cells = [kind, str(len(part)), *(str(number) for number in count.values())]
-        for name in ("clock", "range"):
+        for name in UNITS:
             value = np.array([[float(row[f"{name}_{field}"]) for field in ("error", "sigma")] for row in part])
             value = value[[row["verdict"] == "right" for row in part]]
-            rms = f"{1e3 * np.sqrt((value[:, 0] ** 2).mean()):.1f}" if len(value) else ""
-            cells += [rms, f"{((value[:, 0] / value[:, 1]) ** 2).mean():.2f}" if len(value) else ""]
+            cells += truth(*value.T) if len(value) else 3 * [""]
         lines.append("| " + " | ".join(cells) + " |")
     confident = [row["seed"] for row in rows if row["verdict"] == "WRONG" and _far(row)]
     return "\n".join([*lines, f"wrong by more than three sigma: {len(confident)} {' '.join(confident)}"])
+
+
+def truth(error: np.ndarray, sigma: np.ndarray) -> list[str]:
+    """Rms error times 1000, over the rms sigma (1: the sigma is true), and the share within two sigma (95 %)."""
+    rms = np.sqrt((error**2).mean())
+    ratio, near = rms / np.sqrt((sigma**2).mean()), (np.abs(error) < 2 * sigma).mean()
+    return [f"{1e3 * rms:.1f}", f"{ratio:.2f}", f"{100 * near:.0f} %"]
 
 
 def _far(row: dict[str, str]) -> bool:
@@ -217,18 +224,21 @@ def main() -> None:
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--mismatched", action="store_true")
     parser.add_argument("--lever-sigma", type=float, default=0.05, help="lever_arm_sigma_m of ul.calibrate")
-    parser.add_argument("--log", type=Path, help="CSV file to add rows to; the table is of all its rows")
+    parser.add_argument("--log", type=Path, help="CSV file of rows: goes on where it ended; --count 0: print it")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     kinds = given.kinds.split(",")
     rows = []
+    done = {row["seed"] for row in csv.DictReader(given.log.open())} if given.log and given.log.exists() else set()
     for seed in range(given.first, given.first + given.count):
+        if str(seed) in done:
+            continue
         kind, strength = kinds[seed % len(kinds)], STRENGTHS[(seed // len(kinds)) % 3]
         values = scored(seed, kind, strength, given.mismatched, given.lever_sigma)
         rows.append({name: str(value) for name, value in zip(FIELDS, values, strict=True)})
         if given.log is not None:
             _append(given.log, rows[-1])
-    if given.log is not None:
+    if given.log is not None and given.log.exists():
         rows = list(csv.DictReader(given.log.open()))
     print(table(rows))
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import ullage as ul
-from studies.validation.recordings import count_behind
-from studies.validation.recordings_page import write_recordings_page
+from studies.validation.recordings import Comparison, count_behind
+from studies.validation.recordings_page import bounded, unexplained, write_recordings_page
 from studies.validation.validate import against_recordings
 from ullage.cli import main
 
@@ -35,6 +37,41 @@ def test_scatterers_behind_the_antenna_are_counted() -> None:
     ahead, behind = (3.0, 2.0, 0.3), (-2.2, 2.5, 0.5)
     assert count_behind(along_a_bend([ahead, behind])) == (1, 2)
     assert count_behind(along_a_bend([ahead], bend_m=0.0)) is None  # a straight track cannot tell the sides apart
+
+
+def compared(*, surveyed: bool = True, **added_db: float) -> Comparison:
+    """A comparison that agrees, but for decibels added to its simulation in the bands near, middle and far."""
+    range_m = np.arange(0.5, 11.5, 0.05)
+    simulated = np.full(len(range_m), 30.0)
+    for name, low, high in (("near", 1.0, 3.0), ("middle", 3.0, 4.5), ("far", 4.5, 11.0)):
+        simulated[(range_m >= low) & (range_m < high)] += added_db.get(name, 0.0)
+    fits: Any = SimpleNamespace(misfit={name: SimpleNamespace(value=0.0) for name in ("noise", "correlation_lag_1")})
+    case: Any = SimpleNamespace(what="radar")
+    point = {"error": 0.01, "width_x_6db": 0.1, "width_y_6db": 0.1}
+    profiles = {"recorded": np.full(len(range_m), 30.0), "world": simulated, "receiver": simulated}
+    return Comparison(case, fits, range_m, profiles, {}, points=(point, point) if surveyed else None)
+
+
+@pytest.mark.parametrize(
+    ("added_db", "broken"),
+    [
+        ({}, []),
+        ({"near": 5.0}, ["radar: level from 1 to 3 m"]),
+        ({"near": -5.0}, ["radar: level from 1 to 3 m"]),
+        ({"middle": 7.0}, ["radar: level from 3 to 4.5 m, simulated above recorded"]),
+        ({"far": 7.0}, ["radar: level from 4.5 to 11 m, simulated above recorded"]),
+        ({"middle": -20.0, "far": -25.0}, []),  # what is not known of a place: stated, not bounded
+    ],
+)
+def test_a_level_out_of_its_bound_breaks_it(added_db: dict[str, float], broken: list[str]) -> None:
+    assert [row.oracle for row in bounded(compared(**added_db)) if not row.passed] == broken
+
+
+def test_decibels_without_a_cause_are_stated_for_every_band() -> None:
+    said = list(unexplained(compared(middle=-20.0, far=-40.0)))
+    assert said == ["radar: 20.0 dB of 30.0 dB from 3 to 4.5 m are not explained",
+                    "radar: 30.0 dB of 30.0 dB from 4.5 to 11 m are not explained"]  # fmt: skip
+    assert len(list(unexplained(compared(surveyed=False)))) == 3
 
 
 def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
