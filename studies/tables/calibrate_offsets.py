@@ -167,18 +167,20 @@ def _ringing(rng: np.random.Generator) -> np.ndarray:
 FIELDS = ("seed", "kind", "strength", "verdict", "clock_error", "clock_sigma", "range_error", "range_sigma")  # [s], [m]
 
 
-def scored(seed: int, kind: str, strength: str, mismatched: bool, lever_sigma_m: float) -> list[str | float]:
+def scored(seed: int, kind: str, strength: str, given: argparse.Namespace) -> list[str | float]:
     """One recording's row of FIELDS: errors of the offsets and their sigmas, NaN where calibration refuses."""
     frames, clock_s, range_m = recording(seed, kind, strength)
-    if mismatched:
+    if given.mismatched:
         frames = replace(frames, track=recording(seed + 1000, kind, strength)[0].track)
+    if given.unknown_zero:
+        frames = replace(frames, spec=frames.spec.but(range_zero_m=None))
     try:
-        found = ul.calibrate(frames, lever_arm_sigma_m=lever_sigma_m).calibration
+        found = ul.calibrate(frames, lever_arm_sigma_m=given.lever_sigma).calibration
     except CalibrationError as error:
         print(f"{seed:4d} {kind:7s} {strength:8s} refused: {error}", flush=True)
         return [seed, kind, strength, "refused", *4 * [np.nan]]
     clock, range_ = found.t_offset_s - clock_s, found.range_offset_m - range_m
-    right = not mismatched and abs(clock) < RIGHT_S and abs(range_) < RIGHT_M
+    right = not given.mismatched and abs(clock) < RIGHT_S and abs(range_) < RIGHT_M
     verdict = "right" if right else "WRONG"
     print(
         f"{seed:4d} {kind:7s} {strength:8s} {verdict} "
@@ -223,6 +225,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--mismatched", action="store_true")
+    parser.add_argument("--unknown-zero", action="store_true", help="no prior of the range: echoes alone decide")
     parser.add_argument("--lever-sigma", type=float, default=0.05, help="lever_arm_sigma_m of ul.calibrate")
     parser.add_argument("--log", type=Path, help="CSV file of rows: goes on where it ended; --count 0: print it")
     given = parser.parse_args()
@@ -234,7 +237,7 @@ def main() -> None:
         if str(seed) in done:
             continue
         kind, strength = kinds[seed % len(kinds)], STRENGTHS[(seed // len(kinds)) % 3]
-        values = scored(seed, kind, strength, given.mismatched, given.lever_sigma)
+        values = scored(seed, kind, strength, given)
         rows.append({name: str(value) for name, value in zip(FIELDS, values, strict=True)})
         if given.log is not None:
             _append(given.log, rows[-1])
