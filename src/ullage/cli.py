@@ -497,34 +497,26 @@ def _list_scenarios() -> None:
 
 def _list_worlds() -> None:
     """Print the shipped worlds."""
-    from rich.table import Table
-
-    from ullage.view.progress import console
     from ullage.world.library import WORLDS
 
-    table = Table("world", "what it is", box=None, title="Worlds: -o world.name=NAME", title_justify="left")
-    for world in WORLDS.values():
-        table.add_row(world.name, world.title)
-    console.print(table)
+    rows = ((world.name, world.title) for world in WORLDS.values())
+    _print_table(("world", "what it is"), rows, title="Worlds: -o world.name=NAME")
 
 
 def _list_runs(root: Path, *, most: int | None = None) -> None:
     """Print the runs of a folder, or only the newest."""
     from rich.markup import escape
-    from rich.table import Table
 
     from ullage.experiments.folder import RunFolder
-    from ullage.view.progress import answer, console
+    from ullage.view.progress import answer
 
     runs = RunFolder.all_in(root)
     newest = sorted(runs, key=lambda run: (run.path / "provenance.json").stat().st_mtime, reverse=True)
     shown = [run for run in runs if run in newest[:most]]
     if not shown:
         return
-    table = Table("run", "state", box=None, title="\nRuns: ullage show RUN", title_justify="left")
-    for run in shown:
-        table.add_row(escape(str(run.path)), run.describe())
-    console.print(table)
+    rows = ((escape(str(run.path)), run.describe()) for run in shown)
+    _print_table(("run", "state"), rows, title="\nRuns: ullage show RUN")
     if len(shown) < len(runs):
         answer(f"and {len(runs) - len(shown)} more: ullage list runs")
 
@@ -679,13 +671,13 @@ def calibrate(
             answer(one.message)
 
 
-def _print_table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> None:
-    """Print rows of words."""
+def _print_table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]], *, title: str | None = None) -> None:
+    """Print rows of words, which rich reads as markup."""
     from rich.table import Table
 
     from ullage.view.progress import console
 
-    table = Table(*header, box=None)
+    table = Table(*header, box=None, title=title, title_justify="left")
     for row in rows:
         table.add_row(*row)
     console.print(table)
@@ -850,17 +842,13 @@ def dataset(
 
 
 def _tabulate(done: Sweep, metrics: list[str]) -> None:
-    from rich.table import Table
-
-    from ullage.view.progress import console
-
     found = {name: done.summary(name) for name in metrics}
-    table = Table(*(key for key, _ in done.points[0].settings), "seeds", *metrics, box=None)
+    rows = []
     for settings in dict.fromkeys(point.settings for point in done.done):
         cells = [found[name].get(settings, (0, float("nan"), 0.0)) for name in metrics]
         values = (f"{mean:.4g} ± {spread:.2g}" if count > 1 else f"{mean:.4g}" for count, mean, spread in cells)
-        table.add_row(*(value for _, value in settings), str(max(count for count, _, _ in cells)), *values)
-    console.print(table)
+        rows.append((*(value for _, value in settings), str(max(count for count, _, _ in cells)), *values))
+    _print_table((*(key for key, _ in done.points[0].settings), "seeds", *metrics), rows)
 
 
 @app.command(hidden=True)
