@@ -103,11 +103,11 @@ class Planned:
     def leg_rows(self) -> list[tuple[str, ...]]:
         """Rows of a table: each leg, its length, its reason, and what suffers most without it."""
         rows: list[tuple[str, ...]] = []
-        names = [one.name for one in self.plan().quantities]
+        whole = self.plan()
         for k, (leg, flown) in enumerate(zip(LEGS, self.legs, strict=False) if len(self.legs) > 1 else ()):
-            growth = self.plan(but=k).sigma / self.plan().sigma
-            worst = int(growth.argmax())
-            rows.append((leg.what, f"{flown.duration_s:.0f} s", leg.why, f"{names[worst]}: {growth[worst]:.1f} times"))
+            growth = self.plan(but=k).sigma / whole.sigma
+            worst = whole.quantities[int(growth.argmax())].name
+            rows.append((leg.what, f"{flown.duration_s:.0f} s", leg.why, f"{worst}: {growth.max():.1f} times"))
         return rows
 
     def rows(self) -> list[tuple[str, ...]]:
