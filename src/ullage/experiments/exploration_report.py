@@ -99,7 +99,7 @@ def judge(
     """
     plan, flown = flight.loop.scenario.flight, flight.flown
     length_m = float(np.linalg.norm(np.diff(flown.position, axis=0), axis=1).sum())
-    gap_m, touched = closest_m(scene, flown, plan.vehicle), flight.loop.contacts
+    gap_m, touched = closest_m(scene, flight.aloft, plan.vehicle), flight.contacts
     metrics = [
         Metric("flight_length", length_m, "m"),
         Metric("closest_approach", gap_m, "m"),

@@ -87,7 +87,7 @@ def explore(
     out = run(flight, stages=[stage], sinks=[flight.maps, kept])
     pilot = flight.pilot
     return Explored(out.results[-1], gathered(kept.chunks), flight.flown, flight.believed, tuple(pilot.decisions),
-                    flight.loop.contacts, pilot.at_home, flight.summary())  # fmt: skip
+                    flight.contacts, pilot.at_home, flight.summary())  # fmt: skip
 
 
 @dataclass(slots=True)

@@ -45,7 +45,7 @@ class WaypointFollower:
 
     def __init__(self, points: Floats, speed_m_s: float) -> None:
         self._points, self._speed, self._next = points, speed_m_s, min(1, len(points) - 1)
-        self.arrived = False
+        self.arrived, self.landing = False, False
 
     @property
     def ahead(self) -> Floats:
@@ -88,6 +88,10 @@ class Pilot(Protocol):
     @property
     def heading_rad(self) -> float:
         """Heading wanted now [rad]."""
+
+    @property
+    def landing(self) -> bool:
+        """Whether it sinks to the ground: the guard then watches but limits nothing."""
 
     def velocity(self, position: Floats) -> Floats:
         """Velocity (3) wanted at a believed position (3) [m/s]."""
@@ -252,7 +256,8 @@ class Loop:
                 sectors = self._sectors(stage, chunk, int(truth.t_ns[0]))
                 wanted = pilot.velocity(believed.position[0])
                 limit = guard.limit(wanted, sectors, believed)
-                vehicle.ask(_wish(limit.velocity if self.guarded else wanted, pilot.heading_rad, believed))
+                allowed = limit.velocity if self.guarded and not pilot.landing else wanted
+                vehicle.ask(_wish(allowed, pilot.heading_rad, believed))
                 yield Flown(truth, believed, chunk, Step(int(truth.t_ns[0]), sectors, wanted, limit))
 
     def _believed(self, truth: Trajectory, frames: dict[str, Frames]) -> Trajectory:

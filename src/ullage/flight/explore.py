@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.errors import InputError
+from ullage.flight.live import LAG_S
 from ullage.flight.random_flights import lattice_graph
 from ullage.flight.tour import clear, straightened
 from ullage.grids import Grid, OccupancyMap
@@ -34,9 +35,7 @@ SHORTLIST, VIEWS_M = 24, 1.0  # the best single views, whose paths are compared 
 STRIDE_M = 0.4  # between places that are compared
 LEAST_GAIN_M2 = 0.25  # a view that teaches less is not worth a flight
 APERTURE_M = 0.5  # of track that a view needs at least
-STOP_S = 2.0  # of every flight to a view: start, turn and stop
-SLACK = 1.3  # flown time over that of the straight segments
-RESERVE_S = 4.0  # left at home
+RESERVE_S = 4.0  # left at home, as the guard may slow the way there
 SURELY_FREE = 0.95  # chance that a cell is free, from which paths may cross it; the guard looks ahead besides
 TIGHT = 2.0  # cost of a cell that was flown through with less than the asked clearance: the guard slows flights there
 KEEP = 1.5  # a goal is kept until another one is better by as much
@@ -71,8 +70,8 @@ class Situation:
     wide: Bools  # (ny, nx) those with the asked clearance, not only flown through
     cells: Longs  # (n, 2) those cells
     away_m: Floats  # (2, n) shortest way to each from the vehicle and from home, inf where there is none [m]
-    before: Ints  # (n) cell before each on the way from the vehicle, below zero where there is none
-    home: int  # cell of home
+    before: Ints  # (2, n) cell before each on those ways, below zero where there is none
+    here: int  # cell of the vehicle
     narrow: bool  # it can go nowhere with the asked clearance
 
 
@@ -139,11 +138,27 @@ class ViewPlanner:
         far = np.isfinite(away[0]) & (away[0] * self.grid.step_m >= APERTURE_M)
         narrow = not bool((far & wide[open_]).any())
         at = np.asarray(place, float)[:2]
-        return Situation(omap, at, open_, wide, np.argwhere(open_), away * self.grid.step_m, before[0], ends[1], narrow)
+        return Situation(omap, at, open_, wide, np.argwhere(open_), away * self.grid.step_m, before, ends[0], narrow)
 
-    def time_s(self, length_m: ArrayLike) -> Floats:
-        """Time that paths take [s]."""
-        return np.asarray(SLACK * np.asarray(length_m, float) / self.speed_m_s + STOP_S)
+    def time_s(self, length_m: ArrayLike, turns: float = 0.0) -> Floats:
+        """Time that flights from rest take [s].
+
+        The vehicle reaches a new velocity with the lag of its controller. Each segment therefore takes that lag times
+        the share of the speed that is new along it: all of it at the start, 1 - cos(turn) at a corner. The heading
+        follows meanwhile, and costs no time.
+
+        Args:
+            length_m: of the paths, any shape [m].
+            turns: 1 - cos(turn), summed over the corners.
+        """
+        return np.asarray(np.asarray(length_m, float) / self.speed_m_s + LAG_S * (1.0 + turns))
+
+    def path_s(self, path: Floats) -> float:
+        """Time that a flight from rest along a path (n, 2) takes [s]."""
+        steps = np.diff(path, axis=0)
+        length_m = np.linalg.norm(steps, axis=1)
+        unit = steps[length_m > 0] / length_m[length_m > 0, None]
+        return float(self.time_s(length_m.sum(), float((1.0 - (unit[1:] * unit[:-1]).sum(1)).sum())))
 
     def is_open(self, now: Situation, path: Floats) -> bool:
         """Whether a path (n, 2) crosses open cells only [m]."""
@@ -162,10 +177,10 @@ class ViewPlanner:
 
     def home(self, now: Situation) -> Leg | None:
         """Return the way home, or None if it is barred."""
-        length_m = float(now.away_m[0, now.home])
-        if not math.isfinite(length_m):
+        if not math.isfinite(now.away_m[1, now.here]):
             return None
-        return Leg("home", self._path(now, now.home), "home", travel_s=float(self.time_s(length_m)))
+        path = self._path_home(now, now.here)
+        return Leg("home", path, "home", travel_s=self.path_s(path))
 
     def next_view(self, now: Situation, left_s: float, *, kept: Leg | None = None) -> Leg | None:
         """Return the best view whose path there and then home fits the time left; None: none is worth it.
@@ -178,7 +193,7 @@ class ViewPlanner:
         stride = max(round(STRIDE_M / self.grid.step_m), 1)
         wanted = (now.cells % stride == 0).all(1)
         same = np.zeros(len(wanted), bool) if kept is None else (now.cells == self._cell(kept.goal)).all(1)
-        travel_s, home_s = self.time_s(now.away_m)
+        travel_s, home_s = self.time_s(now.away_m)  # along the lattice, and so but a first estimate
         wanted &= (now.away_m[0] >= APERTURE_M) & now.wide[now.open]  # what was flown through is a way, not a goal
         rows = np.flatnonzero((wanted | same) & (travel_s + home_s + RESERVE_S <= left_s))
         if not len(rows):
@@ -189,14 +204,16 @@ class ViewPlanner:
         if same.any() and np.isfinite(travel_s[same][0]):
             rows = np.union1d(rows, np.flatnonzero(same))
         paths = [self._path(now, int(row)) for row in rows]
+        there_s = np.array([self.path_s(path) for path in paths])
+        back_s = np.array([self.path_s(self._path_home(now, int(row))) for row in rows])
         gain = np.array([self._along(classes, path) for path in paths])
-        rate = np.where(gain >= LEAST_GAIN_M2, gain / travel_s[rows], 0.0) * np.where(same[rows], KEEP, 1.0)
+        useful = (gain >= LEAST_GAIN_M2) & (there_s + back_s + RESERVE_S <= left_s)
+        rate = np.where(useful, gain / there_s, 0.0) * np.where(same[rows], KEEP, 1.0)
         best = int(np.argmax(rate))
         if rate[best] <= 0:
             return None
         words = f"to the frontier {direction(paths[best][-1] - now.place)}"
-        times = float(travel_s[rows[best]]), float(home_s[rows[best]])
-        return Leg("view", paths[best], words, float(gain[best]), *times)
+        return Leg("view", paths[best], words, float(gain[best]), float(there_s[best]), float(back_s[best]))
 
     def _single(self, classes: Ints, cells: Longs) -> Floats:
         """Area that single views from cells (n, 2) could teach [m2]."""
@@ -221,10 +238,17 @@ class ViewPlanner:
         return np.asarray(worth / (1.0 + self._views[self._rays.sector[:, None], seen]))
 
     def _path(self, now: Situation, node: int) -> Floats:
+        return self._back(now, 0, node)[::-1]
+
+    def _path_home(self, now: Situation, node: int) -> Floats:
+        return self._back(now, 1, node)
+
+    def _back(self, now: Situation, end: int, node: int) -> Floats:
+        """Straight segments (n, 2) from a cell to an end of the shortest ways [m]."""
         nodes = [node]
-        while now.before[nodes[-1]] >= 0:
-            nodes.append(int(now.before[nodes[-1]]))
-        cells = now.cells[nodes[::-1]]
+        while now.before[end, nodes[-1]] >= 0:
+            nodes.append(int(now.before[end, nodes[-1]]))
+        cells = now.cells[nodes]
         cells = cells[straightened(cells, now.wide)]
         return np.column_stack([self.grid.x_m[cells[:, 1]], self.grid.y_m[cells[:, 0]]])
 
