@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import argparse
 import csv
+import math
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,12 +23,14 @@ import ullage as ul
 from tools.results import RESULTS, save
 from ullage.arrays import Floats
 from ullage.config import Scenario, make_scenario
-from ullage.data import Frames
+from ullage.data import Frames, Imu
 from ullage.errors import InputError
 from ullage.experiments.exploration import Exploration
 from ullage.experiments.exploration_report import closest_m, judge, observable_from, reachable
 from ullage.experiments.guarded_flight import Loop
+from ullage.experiments.radar_poses import LivePoses
 from ullage.experiments.report_collectors import SampledFrames
+from ullage.flight.airframe import GRAVITY_M_S2
 from ullage.flight.missions import along_walls
 from ullage.grids import Grid
 from ullage.pipeline import InMemorySource, MapStage, run
@@ -84,13 +86,29 @@ class Dying:
         return {name: part for name, part in frames.items() if not (late and name == self._sensor)}
 
 
+class Jumping(LivePoses):
+    """Poses by an inertial unit whose offsets jump at a time."""
+
+    def __init__(self, seed: int, from_s: float) -> None:
+        super().__init__(seed)
+        self._from_s = from_s
+
+    def read(self, imu: Imu) -> Imu:
+        """Return readings with the jump: 1 deg/s about the vertical, and 50 mg ahead."""
+        late = (imu.t_ns * 1e-9 >= self._from_s)[:, None]
+        turn, push = np.array([0.0, 0.0, math.radians(1.0)]), np.array([0.05 * GRAVITY_M_S2, 0.0, 0.0])
+        return Imu(imu.t_ns, imu.angular_velocity + late * turn, imu.specific_force + late * push)
+
+
 def explore(world: str, seed: int, seconds: float, kind: str) -> list[str]:
     """Let the explorer fly, and judge it."""
     radar = kind in ("radar poses", "IMU jumps")
     place = place_of(world, seed, *(["flight.poses=radar"] if radar else []))
     loop = Loop(place.plan, place.scene, place.plan.sensing.radars(), RATE_HZ)
+    if kind == "IMU jumps":
+        loop.poses = Jumping(seed, seconds / 2)
     if kind == "radar dies":
-        loop = replace(loop, receive=Dying(next(iter(loop.rig.sensors)), seconds / 2))
+        loop.receive = Dying(next(iter(loop.rig.sensors)), seconds / 2)
     history, kept = MapHistory(), SampledFrames()
     begun = time.process_time()
     flight = Exploration(loop, place.start, time_s=seconds)
@@ -98,8 +116,11 @@ def explore(world: str, seed: int, seconds: float, kind: str) -> list[str]:
     out = run(flight, stages=stages, sinks=[flight.maps, history])
     cpu_s = time.process_time() - begun
     maps = [*history.maps(), (flight.flown.duration_s, out.results[0])]
-    found = {one.name: one.value for one in judge(flight, maps, place.scene, kept.frames()).metrics}
-    errors = ["", "", ""]
+    judged = judge(flight, maps, place.scene, kept.frames())
+    print(*judged.lines, sep="\n", flush=True)
+    found = {one.name: one.value for one in judged.metrics}
+    errors = [f"{found[name]:.{digits}f}" if name in found else ""
+              for name, digits in (("pose_rms", 2), ("pose_end", 2), ("poses_lost", 0))]  # fmt: skip
     return [
         f"{flight.flown.duration_s:.0f}", f"{found.get('explored_at_50', 0):.2f}", f"{found.get('explored', 0):.2f}",
         f"{found['contacts']:.0f}", f"{found['closest_approach']:.2f}", *errors,

@@ -218,5 +218,5 @@ def test_what_cannot_be_explored_is_refused_in_one_line(
 
 
 def test_poses_that_are_no_source_of_poses_are_refused() -> None:
-    with pytest.raises(InputError, match=r"poses is .radar..*\"exact\", or a callable"):
-        ul.explore("ntnu-room", poses="radar")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"poses is .gps..*\"radar\", or a callable"):
+        ul.explore("ntnu-room", poses="gps")  # type: ignore[arg-type]

@@ -15,6 +15,7 @@ from ullage.arrays import Floats
 from ullage.config import Scenario
 from ullage.data import Frames, Trajectory, strung
 from ullage.errors import InputError, UllageWarning
+from ullage.experiments.radar_poses import LivePoses
 from ullage.flight.airframe import airframe
 from ullage.flight.live import Steered, Wish
 from ullage.flight.navigation import navigate
@@ -171,7 +172,7 @@ class Loop:
         receive: what reaches the stage of the frames, to try faults of sensors; None: all.
         stage: gives the obstacle distances.
         guarded: False: the guard watches but limits nothing, for comparison.
-        poses: gives the believed poses; None: the scenario's navigation.
+        poses: gives the believed poses; None: the scenario's navigation or odometry.
     """
 
     scenario: Scenario
@@ -231,6 +232,8 @@ class Loop:
         """
         plan, guard_spec = self.scenario.flight, self.scenario.flight.guard
         check_clear(start, plan.vehicle, self.scene)
+        if self.poses is None and plan.poses == "radar":
+            self.poses = LivePoses(self.scenario.seed)
         if 1 / self.rate_hz > guard_spec.latency_s:
             what = f"{self.rate_hz:g} frames a second and a latency of {guard_spec.latency_s:g} s"
             least = f">= one frame, {1 / self.rate_hz:.3g} s"
