@@ -38,6 +38,7 @@ APERTURE_M = 0.5  # of track that a view needs at least
 RESERVE_S = 4.0  # left at home, as the guard may slow the way there
 SURELY_FREE = 0.95  # chance that a cell is free, from which paths may cross it; the guard looks ahead besides
 TIGHT = 2.0  # cost of a cell that was flown through with less than the asked clearance: the guard slows flights there
+HORIZON_S = 10.0  # what is learned so much later counts 1 / e
 KEEP = 1.5  # a goal is kept until another one is better by as much
 
 Kind = Literal["view", "probe", "turn", "aside", "home"]
@@ -199,18 +200,18 @@ class ViewPlanner:
         if not len(rows):
             return None
         classes = _classes(now.omap)
-        first = self._single(classes, now.cells[rows]) / travel_s[rows]
+        first = self._single(classes, now.cells[rows]) * np.exp(-travel_s[rows] / HORIZON_S)
         rows = rows[(np.argsort(-first, kind="stable")[:SHORTLIST])]
         if same.any() and np.isfinite(travel_s[same][0]):
             rows = np.union1d(rows, np.flatnonzero(same))
         paths = [self._path(now, int(row)) for row in rows]
         there_s = np.array([self.path_s(path) for path in paths])
         back_s = np.array([self.path_s(self._path_home(now, int(row))) for row in rows])
-        gain = np.array([self._along(classes, path) for path in paths])
+        gain, worth = np.array([self._along(classes, path) for path in paths]).T
         useful = (gain >= LEAST_GAIN_M2) & (there_s + back_s + RESERVE_S <= left_s)
-        rate = np.where(useful, gain / there_s, 0.0) * np.where(same[rows], KEEP, 1.0)
-        best = int(np.argmax(rate))
-        if rate[best] <= 0:
+        worth = np.where(useful, worth, 0.0) * np.where(same[rows], KEEP, 1.0)
+        best = int(np.argmax(worth))
+        if worth[best] <= 0:
             return None
         words = f"to the frontier {direction(paths[best][-1] - now.place)}"
         return Leg("view", paths[best], words, float(gain[best]), float(there_s[best]), float(back_s[best]))
@@ -223,15 +224,19 @@ class ViewPlanner:
             gain[part] = (self._new(seen, worth) * self._rays.area_m2).sum((1, 2))
         return gain
 
-    def _along(self, classes: Ints, path: Floats) -> float:
-        """Area that the views along a path could teach together [m2]."""
+    def _along(self, classes: Ints, path: Floats) -> tuple[float, float]:
+        """Area that the views along a path could teach together, and the same discounted by when it is taught [m2]."""
         s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
         at = np.linspace(0, s[-1], max(round(s[-1] / VIEWS_M), 1) + 1)[1:]
         cells, _ = self.grid.index(np.stack([np.interp(at, s, path[:, k]) for k in range(2)], 1))
         seen, worth = self._rays.cast(classes, cells)
-        chance = np.zeros(self.grid.size)
-        np.maximum.at(chance, seen.ravel(), self._new(seen, worth).ravel())
-        return self.grid.step_m**2 * float(chance.sum())
+        new, total = self._new(seen, worth), []
+        soon = np.exp(-self.time_s(at) / HORIZON_S)[:, None, None]
+        for share in (new, new * soon):
+            chance = np.zeros(self.grid.size)
+            np.maximum.at(chance, seen.ravel(), share.ravel())
+            total.append(self.grid.step_m**2 * float(chance.sum()))
+        return total[0], total[1]
 
     def _new(self, seen: Longs, worth: Floats) -> Floats:
         """Chance that rays teach cells (n, rays, steps), with the views so far."""
