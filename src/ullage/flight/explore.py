@@ -1,10 +1,10 @@
 """Choose the next view on the map of a plane: the one that could teach most for its time, by space known to be free.
 
 Frontiers of free space draw the vehicle [Yamauchi1997]. A view is worth the unknown and ambiguous cells that its rays
-would enter, over the time to get there, as in next-best-view planners [BircherEtAl2016] [DangEtAl2020]. Radars see a
-smooth surface only along its normal, so a cell that a view did not teach may need another direction. Each view
-therefore counts in its direction alone, and what n of them left unknown is learned by the next one with a chance of
-1 / (1 + n), by the rule of succession.
+would enter, and a path what its views teach, discounted by when they do, as in next-best-view planners
+[BircherEtAl2016] [DangEtAl2020]. Radars see a smooth surface only along its normal, so a cell that a view did not teach
+may need another direction. Each view therefore counts in its direction alone, and what n of them left unknown is
+learned by the next one with a chance of 1 / (1 + n), by the rule of succession.
 """
 
 from __future__ import annotations
