@@ -365,12 +365,9 @@ class Exploration:
 
     @property
     def contacts(self) -> tuple[tuple[float, str, float], ...]:
-        """Time [s], object, speed [m/s] of each contact, but for that with the ground as it lands."""
-        found = self.loop.contacts
-        if not self.pilot.landed:
-            return found
-        ground_s = float(self.flown.t_ns[-1]) * 1e-9 - 2 * SETTLED_S
-        return tuple(one for one in found if one[0] < ground_s)
+        """Time [s], object, speed [m/s] of each contact before it lands: from then on the ground is touched."""
+        end_s = self.pilot.landing_from_s
+        return tuple(one for one in self.loop.contacts if end_s is None or one[0] < end_s)
 
     @property
     def believed(self) -> Trajectory:
