@@ -99,6 +99,19 @@ def test_a_pilot_lands_at_home_in_time_on_ground_that_is_not_where_it_was_though
     assert falls.max() <= 0.1 * TOUCH_M_S + 1e-9
 
 
+def test_a_vehicle_whose_poses_leave_the_world_lands_where_it_is() -> None:
+    explorer = Explorer(START, time_s=40.0, speed_m_s=0.5, clearance_m=0.4, drop_m=0.9)
+    place = START[:3].copy()
+    for step in range(400):
+        explorer.take_map(OccupancyMap(GRID, hall()))
+        believed = place + np.array([20.0 if step > 15 else 0.0, 0.0, 0.0])
+        explorer.update(pose(believed, 0.0, step / 10), STAGE.sectors(step * 100_000_000))
+        if explorer.ended:
+            break
+        place[2] = max(place[2] + 0.1 * explorer.velocity(believed)[2], 0.1)
+    assert explorer.ended == "on the ground 20 m east of home: its poses left the box of the world"
+
+
 CORNERS = st.lists(st.tuples(st.floats(-4, 4), st.floats(-4, 4)), min_size=2, max_size=5)
 
 

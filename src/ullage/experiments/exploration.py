@@ -122,7 +122,7 @@ class Explorer:
         """Velocity (3) wanted at a believed position (3) [m/s]."""
         if self.landing:
             over_m = position[2] - self._start[2] + (self._drop_m or 0.0)
-            return np.array([*(self._start[:2] - position[:2]), -SINK_M_S if over_m > TOUCH_M else -TOUCH_M_S])
+            return np.array([0.0, 0.0, -SINK_M_S if over_m > TOUCH_M else -TOUCH_M_S])
         return self._follower.velocity(position)
 
     def take_map(self, omap: OccupancyMap) -> None:
@@ -139,11 +139,15 @@ class Explorer:
         since = here[:2] - self._moved[1]
         if np.linalg.norm(since) >= STUCK_M or abs(math.remainder(yaw - self._moved[2], math.tau)) >= STUCK_RAD:
             self._moved = now_s, here[:2], yaw
-        if self._planner is not None:
-            self._planner.flew(here)
         if self.landing:
             self._land(here, now_s)
             return
+        if self._planner is not None and not self._planner.grid.index(here[None, :2])[1][0]:
+            self.why_home = "its poses left the box of the world"
+            self._descend(here, now_s)
+            return
+        if self._planner is not None:
+            self._planner.flew(here)
         if now_s > self.time_s + LATE_S:
             self._end(here, "the guard kept it from getting home")
         omap, self._omap = self._omap, None
@@ -241,12 +245,16 @@ class Explorer:
             self._home_s = min(self._home_s, now_s)
             if now_s - self._home_s >= HOVER_S:
                 self.at_home = True
-                if self._drop_m is not None:
-                    self.landing_from_s, self._sunk = now_s, (now_s, float(here[2]))
-                else:
-                    self._end(here, self.why_home)
+                self._descend(here, now_s)
         elif not homing or not planner.is_open(now, self._ahead()):
             self._fly(self._way_home(planner, now), here, now_s)
+
+    def _descend(self, here: Floats, now_s: float) -> None:
+        """Begin to land here, or end hovering."""
+        if self._drop_m is None:
+            self._end(here, self.why_home)
+        else:
+            self.landing_from_s, self._sunk = now_s, (now_s, float(here[2]))
 
     def _land(self, here: Floats, now_s: float) -> None:
         """End the flight once the vehicle sinks no more, or where no ground came."""
