@@ -31,6 +31,19 @@ def test_processors_believe_what_the_radars_show_and_not_the_truth() -> None:
     assert 1e-4 < np.sqrt((error**2).mean()) < 0.2
 
 
+def test_a_guarded_flight_by_them_says_how_far_they_were_off() -> None:
+    ready = prepare(make_scenario(SHORT, options=["flight.guard.on=true", "sensing.rate_hz=10"]))
+    assert ready.odometry is not None
+    front = gathered(ready.stream())["front"]
+    lines, found = ready.odometry.report()
+    truth = ready.flown.mounted(front.spec.mount.body_from_sensor())
+    error = np.linalg.norm(front.believed.position - truth.position, axis=1)
+    assert len(front) == len(ready.flown)
+    assert 1e-4 < np.sqrt((error**2).mean()) < 0.1
+    assert {one.name: one.value for one in found}["pose_rms"] < 0.1
+    assert "simulated from the true flight" in lines[0]
+
+
 def scores(poses: RadarPoses, frames: ul.Frames) -> tuple[list[str], dict[str, float]]:
     """Sentences and numbers of a finished run on one radar's frames, with the frames that it kept."""
     with pytest.warns(ul.UllageWarning, match="simulated from the recorded track"):

@@ -17,7 +17,7 @@ from ullage.arrays import Bools, Floats
 from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError
 from ullage.experiments.exploration import Exploration
-from ullage.experiments.radar_poses import LivePoses, errors
+from ullage.experiments.radar_poses import of_flight
 from ullage.flight.airframe import airframe
 from ullage.flight.obstacles import bodies, into
 from ullage.flight.random_flights import LATTICE_M
@@ -109,15 +109,9 @@ def judge(
     ]
     far, times = f"{length_m:.1f} m in {flown.duration_s:.0f} s", f"{len(touched)} contacts"
     lines = [flight.summary(), f"It flew {far} and came within {gap_m:.2f} m of a surface, with {times}."]
-    if isinstance(by := flight.loop.poses, LivePoses) and (found := by.result()) is not None:
-        more = errors(found, flown)
-        metrics += more
-        rms, end, _, _, lost, worst = (one.value for one in more)
-        lines.append(
-            "Its poses came from the radars, with an inertial unit and an altimeter simulated from the true flight. "
-            f"They err by {rms:.2f} m (rms) and {end:.2f} m at the end, are lost for {lost:.0f} % of the time, and "
-            f"err by at most {worst:.1f} sigma else."
-        )
+    if (by := of_flight(flight.loop.poses, flown)) is not None:
+        words, scores = by.report()
+        lines, metrics = [*lines, *words], [*metrics, *scores]
     if not maps or not maps[-1][1].occupied.any():
         return Verdict(metrics, [*lines, "It mapped no surface."])
     grid = maps[-1][1].grid.at_height(float(flight.start[2]))

@@ -33,11 +33,15 @@ class RadarPoses:
         seed: of their noise.
         source: of the truth, in words.
         captured: the truth is motion capture, with its noise.
+        flown_by: poses of a flight in closed loop, whose frames have them already.
     """
 
-    def __init__(self, truth: Trajectory, *, seed: int, source: str, captured: bool = False) -> None:
+    def __init__(
+        self, truth: Trajectory, *, seed: int, source: str, captured: bool = False,
+        flown_by: OdometryResult | None = None,
+    ) -> None:  # fmt: skip
         self._truth, self._seed, self._source, self._captured = truth, seed, source, captured
-        self._result: OdometryResult | None = None
+        self._result, self._live = flown_by, flown_by is not None
 
     @property
     def sentence(self) -> str:
@@ -82,7 +86,8 @@ class RadarPoses:
         more = f" and {len(spans) - 3} more times" if len(spans) > 3 else ""
         lines = [self.sentence]
         if spans:
-            lines.append(f"The poses are lost from {'; '.join(spans[:3])}{more}. Frames of that time are not mapped.")
+            unmapped = "" if self._live else " Frames of that time are not mapped."
+            lines.append(f"The poses are lost from {'; '.join(spans[:3])}{more}.{unmapped}")
         scores = {one.name: one for one in errors(found, self._truth)}
         rms, end, worst = (scores[name].value for name in ("pose_rms", "pose_end", "pose_sigmas"))
         share, last = (scores[name].value for name in ("pose_rms_of_path", "pose_end_of_path"))
@@ -173,6 +178,12 @@ class LivePoses:
     def result(self) -> OdometryResult | None:
         """All poses so far; None before the first."""
         return None if self._work is None else self._work.result()
+
+
+def of_flight(poses: object, flown: Trajectory) -> RadarPoses | None:
+    """Return what to report of a closed loop that flew by its radars; None: it flew by other poses."""
+    found = poses.result() if isinstance(poses, LivePoses) else None
+    return None if found is None else RadarPoses(flown, seed=0, source="true flight", flown_by=found)
 
 
 def _two(before: Trajectory, after: Trajectory) -> Trajectory:

@@ -10,7 +10,7 @@ import numpy as np
 from ullage.config import FlightSpec, Scenario, WorldSpec
 from ullage.data import Frames, Trajectory, even_times, gathered, strung
 from ullage.errors import InputError
-from ullage.experiments.radar_poses import RadarPoses
+from ullage.experiments.radar_poses import RadarPoses, of_flight
 from ullage.specs import Rig
 from ullage.world.scene import Scene
 
@@ -36,7 +36,7 @@ class Simulated:
 
     def stream(self) -> Iterator[dict[str, Frames]]:
         """Give the frames of each radar, chunk by chunk."""
-        return self._stream() if self.odometry is None else self.odometry.placed(self._stream())
+        return self._stream() if self.odometry is None or self.received else self.odometry.placed(self._stream())
 
     def _stream(self) -> Iterator[dict[str, Frames]]:
         if self.received:
@@ -92,9 +92,11 @@ def _guarded(scenario: Scenario, scene: Scene, rig: Rig, *, rate_hz: float, prog
     from ullage.experiments.guarded_flight import Loop, warn_of
 
     points = np.array(waypoints_of(scenario.flight, scenario.world, scene))
-    flight = Loop(scenario, scene, rig, rate_hz).fly(points, progress=progress)
+    loop = Loop(scenario, scene, rig, rate_hz)
+    flight = loop.fly(points, progress=progress)
     warn_of(flight)
-    return Simulated(scenario, scene, flight.flown, flight.believed, rig, tuple(flight.frames))
+    return Simulated(scenario, scene, flight.flown, flight.believed, rig, tuple(flight.frames),
+                     odometry=of_flight(loop.poses, flight.flown))  # fmt: skip
 
 
 def radars_and_world(scenario: Scenario, scene: Scene | None = None) -> tuple[Rig, Scene]:
