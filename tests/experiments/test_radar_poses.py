@@ -114,6 +114,15 @@ def test_readings_of_a_flight_do_not_change_where_they_are_made_step_by_step() -
     assert np.allclose(force[whole.t_ns > 0], whole.specific_force[whole.t_ns > 0], atol=1e-6)
 
 
+def test_live_frames_are_not_placed_by_odometry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    place = "mavlink:udpin://127.0.0.1:14599?world=ntnu-room&rig=thesis-4"
+    done = CliRunner().invoke(app, ["run", place, "--poses", "radar"])
+    assert isinstance(done.exception, ul.InputError)
+    assert "live frames keep their poses" in str(done.exception)
+    assert not (tmp_path / "runs").exists()
+
+
 @pytest.mark.parametrize("how", [("--poses", "radar"), ("-o", "flight.poses=radar")])
 def test_a_recording_without_a_track_gives_no_poses_by_radar_and_one_line(
     how: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

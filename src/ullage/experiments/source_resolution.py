@@ -351,6 +351,8 @@ def _begun(
         plan: returns the scenario for the tasks.
     """
     try:
+        if plan(()).flight.poses == "radar":
+            raise InputError("live frames keep their poses", where=place, allowed="flight.poses navigation")
         wait = tasks != ()
         begun = _Begun(source, wait=wait)
         if wait and not begun.first:
