@@ -32,6 +32,9 @@ app = typer.Typer(
 Options = Annotated[
     list[str] | None, typer.Option("-o", "--option", help="Change a setting: -o map.step_m=0.2", metavar="KEY=VALUE")
 ]
+Poses = Annotated[
+    str | None, typer.Option("--poses", help="navigation, or radar for odometry; short for -o flight.poses=")
+]
 MAP_SCORES = ("f1", "precision", "recall", "recall_in_view", "flyable_found", "flyable_false")
 ANYWHERE = ("--debug", "--quiet", "--verbose")
 """Options of the command itself that may stand behind a verb too."""
@@ -242,6 +245,7 @@ def run(
     do: Do = None,
     to: To = None,
     option: Options = None,
+    poses: Poses = None,
     law: LawOption = None,
     by_hand: ByHand = False,
     compare: Annotated[
@@ -266,7 +270,7 @@ def run(
     from ullage.pipeline import check_sink
     from ullage.view.progress import log, progress_bar
 
-    tasks, options, sinks = tasks_of(do), option or [], to or []
+    tasks, options, sinks = tasks_of(do), [*_posed(poses), *(option or [])], to or []
     source = variant_name(source, law=law, by_hand=by_hand)
     check_target(source)
     for target in sinks:
@@ -322,6 +326,7 @@ def explore(
     ] = None,
     to: To = None,
     option: Options = None,
+    poses: Poses = None,
     out: Out = None,
     trust_xacro: Trust = False,
     xacro: Xacro = None,
@@ -338,11 +343,15 @@ def explore(
     from ullage.experiments.warmup import parts_of
     from ullage.view.progress import log
 
-    options = [*(option or []), *([f"seed={seed}"] if seed is not None else [])]
+    options = [*_posed(poses), *(option or []), *([f"seed={seed}"] if seed is not None else [])]
     scenario = exploring(flight_scenario(world, options=options, kind="explore"), options)
     compile_parts(parts_of(scenario))
     flight = prepare(scenario, time_s=time_s, height_m=height_m, log=log)
     _carry_out(make_exploration(flight, out=out, log=log, to=to or []), "exploring", time_s)
+
+
+def _posed(poses: str | None) -> list[str]:
+    return [] if poses is None else [f"flight.poses={poses}"]
 
 
 def repair(source: str) -> bool:

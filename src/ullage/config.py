@@ -102,8 +102,8 @@ class FlightSpec(Spec):
     hover_s: float = Field(0.0, ge=0, le=600, description="hover at the last waypoint")
     poses: Literal["navigation", "radar"] = Field(
         "navigation",
-        description="what the processors believe: navigation's errors on the truth, or odometry by the radars with a "
-        "simulated inertial unit and altimeter",
+        description="what the processors believe: navigation's errors on the truth, or the track of a recording; or "
+        "odometry by the radars, with a simulated inertial unit and altimeter",
     )
     guard: GuardSpec = GuardSpec()
 
@@ -123,8 +123,6 @@ class FlightSpec(Spec):
             raise ValueError("guard.on wants a vehicle that can brake (allowed: vehicle hector)")
         if self.guard.on and (self.wander_m or self.wander_deg):
             raise ValueError("guard.on flies no wander (allowed: wander_m 0 and wander_deg 0)")
-        if self.guard.on and self.poses == "radar":
-            raise ValueError("guard.on flies by navigation's poses (allowed: poses navigation)")
         return self
 
 

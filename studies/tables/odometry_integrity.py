@@ -16,6 +16,7 @@ from shapely import LineString
 
 import ullage as ul
 from ullage.experiments.catalog import find_scenario
+from ullage.experiments.radar_poses import errors, is_lost
 from ullage.experiments.simulated import prepare
 
 RATE_HZ = 17.0
@@ -42,17 +43,16 @@ def row(world: str, seed: int, seconds: float) -> str:
     begun = time.process_time()
     found = ul.odometry(frames, imu, start=flown[:1], height=height)
     cpu_s = time.process_time() - begun
-    t_ns = found.trajectory.t_ns
-    error = found.trajectory.position - flown.at(t_ns).position
-    sigmas = (np.abs(error) / found.sigma[:, :3]).max(1)
-    lost = np.any([(t_ns >= one.from_ns) & (t_ns <= one.to_ns) for one in found.lost] or [0 * t_ns > 0], axis=0)
-    size = np.linalg.norm(error, axis=1)
+    truth, lost = flown.at(found.trajectory.t_ns), is_lost(found)
+    score = {one.name: one.value for one in errors(found, flown)}
+    error = np.abs(found.trajectory.position - truth.position)
+    silent = ((error / found.sigma[:, :3]).max(1) > 3) & ~lost
+    kept = (error[~lost] ** 2).sum(1) if (~lost).any() else np.full(1, np.nan)
     way = np.linalg.norm(np.diff(flown.position, axis=0), axis=1).sum()
-    kept = size[~lost] if (~lost).any() else np.full(1, np.nan)
     numbers = (
-        f"{flown.duration_s:.0f}", f"{way:.0f}", f"{np.sqrt((size**2).mean()):.2f}", f"{size[-1]:.2f}",
-        f"{np.sqrt((kept**2).mean()):.2f}", f"{100 * ((sigmas > 3) & ~lost).mean():.0f}",
-        f"{sigmas[~lost].max(initial=0):.1f}", f"{100 * lost.mean():.0f}", f"{cpu_s / flown.duration_s:.1f}",
+        f"{flown.duration_s:.0f}", f"{way:.0f}", f"{score['pose_rms']:.2f}", f"{score['pose_end']:.2f}",
+        f"{np.sqrt(kept.mean()):.2f}", f"{100 * silent.mean():.0f}", f"{score['pose_sigmas']:.1f}",
+        f"{score['poses_lost']:.0f}", f"{cpu_s / flown.duration_s:.1f}",
     )  # fmt: skip
     return f"| {world} | {seed} | " + " | ".join(numbers) + " |"
 

@@ -9,13 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import ullage as ul
 from ullage.cli import app
 from ullage.errors import InputError
-from ullage.experiments.exploration import LATE_S, Explorer
+from ullage.experiments.exploration import LATE_S, TOUCH_M_S, Explorer
 from ullage.experiments.exploration_report import observable_from, reachable
+from ullage.experiments.guarded_flight import WaypointFollower
+from ullage.flight.explore import ViewPlanner
+from ullage.flight.live import Steered, Wish
 from ullage.geometry import rpy_quat
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
 from ullage.processing.metrics import on_map
@@ -26,6 +31,7 @@ START = np.array([1.0, 1.0, 1.0, 0.0])
 GRID = Grid((-0.5, -0.5, 1.0), 0.1, (50, 70))
 QUICK = ["sensing.rate_hz=10", "flight.waypoints=[[-1,0,0]]"]
 ROOM = ul.scenes.room(size_m=(6, 5, 3))
+EMPTY = ul.scenes.room(size_m=(10, 10, 3))
 
 
 def pose(place: np.ndarray, yaw_rad: float, t_s: float) -> ul.Trajectory:
@@ -40,7 +46,9 @@ def hall() -> np.ndarray:
     return percent
 
 
-def fly_by_sight(explorer: Explorer, *, sight_m: float, moves: bool = True) -> tuple[list[np.ndarray], OccupancyMap]:
+def fly_by_sight(
+    explorer: Explorer, *, sight_m: float, moves: bool = True, ground_m: float = -9.0
+) -> tuple[list[np.ndarray], OccupancyMap]:
     """Fly a point that sees everything within some distance, until the explorer ends."""
     place, yaw, track, known = START[:3].copy(), 0.0, [], np.full(GRID.shape, UNKNOWN, np.int8)
     x, y = np.meshgrid(GRID.x_m, GRID.y_m)
@@ -55,6 +63,7 @@ def fly_by_sight(explorer: Explorer, *, sight_m: float, moves: bool = True) -> t
             break
         if moves:
             place = place + 0.1 * explorer.velocity(place)
+            place[2] = max(place[2], ground_m)
             yaw = explorer.heading_rad
     return track, OccupancyMap(GRID, known)
 
@@ -76,6 +85,53 @@ def test_a_pilot_is_home_in_time_and_never_near_what_it_does_not_know(time_s: fl
     if time_s == 100:
         assert (omap.percent[5:45, 5:65] != UNKNOWN).mean() > 0.9
         assert "nothing is left" in explorer.ended
+
+
+@pytest.mark.parametrize("ground_m", [0.1, 0.4])
+def test_a_pilot_lands_at_home_in_time_on_ground_that_is_not_where_it_was_thought(ground_m: float) -> None:
+    explorer = Explorer(START, time_s=40.0, speed_m_s=0.5, clearance_m=0.4, drop_m=0.9)
+    track, _ = fly_by_sight(explorer, sight_m=1.5, ground_m=ground_m)
+    assert explorer.landed
+    assert explorer.ended.startswith("on the ground at home: ")
+    assert len(track) / 10 <= 40.0
+    assert np.allclose(track[-1], [*START[:2], ground_m], atol=0.1)
+    falls = -np.diff([place[2] for place in track[-20:]])
+    assert falls.max() <= 0.1 * TOUCH_M_S + 1e-9
+
+
+def test_a_vehicle_whose_poses_leave_the_world_lands_where_it_is() -> None:
+    explorer = Explorer(START, time_s=40.0, speed_m_s=0.5, clearance_m=0.4, drop_m=0.9)
+    place = START[:3].copy()
+    for step in range(400):
+        explorer.take_map(OccupancyMap(GRID, hall()))
+        believed = place + np.array([20.0 if step > 15 else 0.0, 0.0, 0.0])
+        explorer.update(pose(believed, 0.0, step / 10), STAGE.sectors(step * 100_000_000))
+        if explorer.ended:
+            break
+        place[2] = max(place[2] + 0.1 * explorer.velocity(believed)[2], 0.1)
+    assert explorer.ended == "on the ground 20 m east of home: its poses left the box of the world"
+
+
+CORNERS = st.lists(st.tuples(st.floats(-4, 4), st.floats(-4, 4)), min_size=2, max_size=5)
+
+
+@settings(deadline=None, max_examples=12)
+@given(corners=CORNERS, speed_m_s=st.floats(0.3, 0.8))
+def test_the_planner_knows_how_long_a_path_takes(corners: list[tuple[float, float]], speed_m_s: float) -> None:
+    """The vehicle's own controller flies it in an empty room of 10 x 10 m."""
+    path = np.array(corners)
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    assume(steps.min() > 0.5)
+    assume(steps.sum() > 2.0)
+    planner = ViewPlanner(GRID, START, clearance_m=0.4, speed_m_s=speed_m_s)
+    points = np.column_stack([path, np.zeros(len(path))])
+    follower, vehicle, row = WaypointFollower(points, speed_m_s), Steered(scene=EMPTY, start=points[0]), 0
+    while not follower.arrived and row < 2000:
+        vehicle.advance(row * 50_000_000)
+        level = follower.velocity(vehicle.position)
+        vehicle.ask(Wish(velocity_m_s=(level[0], level[1]), climb_m_s=level[2], heading_rad=0.0))
+        row += 1
+    assert planner.path_s(path) == pytest.approx(row * 0.05, rel=0.15)
 
 
 def test_a_vehicle_that_never_gets_on_ends_with_words() -> None:
@@ -101,8 +157,8 @@ def test_the_same_seed_gives_the_same_flight_and_frames_carry_its_believed_poses
         given.append(all(part.poses is None and part.truth is None for part in frames.values()))  # type: ignore[attr-defined]
         return truth
 
-    first = ul.explore(ROOM, time_s=8.5, seed=3, options=QUICK)
-    second = ul.explore(ROOM, time_s=8.5, seed=3, options=QUICK, poses=shifted)
+    first = ul.explore(ROOM, time_s=13.5, seed=3, options=QUICK)
+    second = ul.explore(ROOM, time_s=13.5, seed=3, options=QUICK, poses=shifted)
     assert np.array_equal(first.flown.position, second.flown.position)
     assert np.array_equal(first.frames["front"].samples, second.frames["front"].samples)
     assert [one.leg.words for one in first.decisions] == [one.leg.words for one in second.decisions]
@@ -149,7 +205,7 @@ def test_a_room_is_explored_without_contact_and_the_run_folder_says_so(
     assert metrics["closest_approach"] >= 0.25
     assert metrics["explored"] > 0.5
     assert metrics["explored"] >= metrics["explored_at_25"]
-    assert "The flight ended at home" in (folder / "verdict.txt").read_text()
+    assert "The flight ended on the ground at home" in (folder / "verdict.txt").read_text()
     assert (folder / "figures" / "explore.png").stat().st_size > 10_000
     assert len(ul.open(folder / "frames.mcap").frames()) == 4
     assert math.isfinite(metrics["flight_length"])
@@ -175,5 +231,5 @@ def test_what_cannot_be_explored_is_refused_in_one_line(
 
 
 def test_poses_that_are_no_source_of_poses_are_refused() -> None:
-    with pytest.raises(InputError, match=r"poses is .radar..*\"exact\", or a callable"):
-        ul.explore("ntnu-room", poses="radar")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"poses is .gps..*\"radar\", or a callable"):
+        ul.explore("ntnu-room", poses="gps")  # type: ignore[arg-type]

@@ -75,6 +75,14 @@ def test_the_goal_lies_at_the_frontier_and_not_at_a_wall() -> None:
     assert leg.words.endswith("east")
 
 
+def test_where_all_of_a_way_teaches_the_vehicle_does_not_stop_at_its_first_metre() -> None:
+    """A free lane between unknown sides: each metre of it teaches as much as the first."""
+    head = planner((1.0, 3.6))
+    leg = head.next_view(head.at(drawn((0.3, 9.5, 3.0, 4.2)), np.array([1.0, 3.6])), math.inf)
+    assert leg is not None
+    assert leg.goal[0] > 3.0
+
+
 def test_a_room_that_is_known_throughout_is_worth_no_flight() -> None:
     percent = np.full(GRID.shape, UNKNOWN, np.int8)
     percent[3:62, 3:82] = 95  # a wall of two cells, with nothing known behind

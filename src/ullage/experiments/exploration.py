@@ -29,6 +29,7 @@ from ullage.grids import OccupancyMap
 from ullage.pipeline import LOGGER
 from ullage.processing.obstacles import ObstacleSectors
 from ullage.specs import Rig
+from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
 PIECE_S = 0.5
@@ -44,7 +45,9 @@ ASIDE_M = 0.5  # from a place where the guard stopped the flight
 TURN_DEG = 90.0  # on the spot, after a careful flight: four beams leave a quarter of the circle out
 CRUMB_M = 0.2  # between places of the track that lead back
 REPLAN_S = 2.0  # between comparisons of the goal with other views
-HOVER_S = 1.0  # at home
+HOVER_S = 1.0  # at home, before it lands
+SINK_M_S, TOUCH_M_S, TOUCH_M = 0.5, 0.2, 0.6  # on the way down, and so slowly from this height over the ground on
+SETTLED_S, SETTLED_M = 0.6, 0.05  # on the ground it sinks less in so long
 LATE_S = 20.0  # a guard that stops the flight home may delay it by so long
 
 
@@ -72,10 +75,17 @@ class Explorer:
         time_s: of the flight, with the way home.
         speed_m_s: of the flight.
         clearance_m: from the vehicle's centre to what is not known to be free.
+        drop_m: height of the start over the ground that it took off from; None: it ends hovering [m].
     """
 
-    def __init__(self, start: Floats, *, time_s: float, speed_m_s: float, clearance_m: float) -> None:
+    def __init__(
+        self, start: Floats, *, time_s: float, speed_m_s: float, clearance_m: float, drop_m: float | None = None
+    ) -> None:
         self._start, self._speed, self.time_s, self.clearance_m = start, speed_m_s, time_s, clearance_m
+        self._drop_m, self._sunk = drop_m, (0.0, math.inf)  # when and how low it was last clearly lower
+        self._landing_s = 0.0 if drop_m is None else drop_m / SINK_M_S + TOUCH_M / TOUCH_M_S + SETTLED_S
+        self.landing_from_s: float | None = None
+        self.landed = False
         self.decisions: list[Decision] = []
         self.ended = ""  # why the flight ended, once it has
         self.at_home = False
@@ -97,12 +107,22 @@ class Explorer:
         return self._follower.heading_rad
 
     @property
+    def landing(self) -> bool:
+        """Whether it sinks to the ground, which the guard would not let come near."""
+        return self.landing_from_s is not None
+
+    @property
     def words(self) -> str:
         """What it is doing."""
+        if self.landing:
+            return "landing"
         return "looking around" if self._leg is None else self._leg.words
 
     def velocity(self, position: Floats) -> Floats:
         """Velocity (3) wanted at a believed position (3) [m/s]."""
+        if self.landing:
+            over_m = position[2] - self._start[2] + (self._drop_m or 0.0)
+            return np.array([0.0, 0.0, -SINK_M_S if over_m > TOUCH_M else -TOUCH_M_S])
         return self._follower.velocity(position)
 
     def take_map(self, omap: OccupancyMap) -> None:
@@ -119,6 +139,13 @@ class Explorer:
         since = here[:2] - self._moved[1]
         if np.linalg.norm(since) >= STUCK_M or abs(math.remainder(yaw - self._moved[2], math.tau)) >= STUCK_RAD:
             self._moved = now_s, here[:2], yaw
+        if self.landing:
+            self._land(here, now_s)
+            return
+        if self._planner is not None and not self._planner.grid.index(here[None, :2])[1][0]:
+            self.why_home = "its poses left the box of the world"
+            self._descend(here, now_s)
+            return
         if self._planner is not None:
             self._planner.flew(here)
         if now_s > self.time_s + LATE_S:
@@ -150,6 +177,7 @@ class Explorer:
             self._go_on_home(planner, now, here, now_s)
             return
         home, left_s = self._way_home(planner, now), self.time_s - now_s
+        left_s -= self._landing_s + HOVER_S
         if left_s <= home.travel_s + RESERVE_S:
             self._turn_home(home, planner.next_view(now, math.inf), here, now_s, why="the time was up")
             return
@@ -199,8 +227,7 @@ class Explorer:
         if (leg := planner.home(now)) is not None:
             return leg
         back = np.array([now.place, *self._track[::-1]])
-        length_m = np.linalg.norm(np.diff(back, axis=0), axis=1).sum()
-        return Leg("home", back, "home along the track", travel_s=float(planner.time_s(length_m)))
+        return Leg("home", back, "home along the track", travel_s=planner.path_s(back))
 
     def _turn_home(self, home: Leg, upcoming: Leg | None, here: Floats, now_s: float, *, why: str) -> None:
         self.why_home, self.upcoming = why, upcoming
@@ -218,9 +245,24 @@ class Explorer:
             self._home_s = min(self._home_s, now_s)
             if now_s - self._home_s >= HOVER_S:
                 self.at_home = True
-                self._end(here, self.why_home)
+                self._descend(here, now_s)
         elif not homing or not planner.is_open(now, self._ahead()):
             self._fly(self._way_home(planner, now), here, now_s)
+
+    def _descend(self, here: Floats, now_s: float) -> None:
+        """Begin to land here, or end hovering."""
+        if self._drop_m is None:
+            self._end(here, self.why_home)
+        else:
+            self.landing_from_s, self._sunk = now_s, (now_s, float(here[2]))
+
+    def _land(self, here: Floats, now_s: float) -> None:
+        """End the flight once the vehicle sinks no more, or where no ground came."""
+        if here[2] < self._sunk[1] - SETTLED_M:
+            self._sunk = now_s, float(here[2])
+        self.landed = now_s - self._sunk[0] >= SETTLED_S
+        if self.landed or now_s - (self.landing_from_s or 0.0) > self._landing_s + LATE_S:
+            self._end(here, self.why_home)
 
     def _probe(self, planner: ViewPlanner, now: Situation, here: Floats, room: Room) -> Leg | None:
         """Return a short flight into unknown space where the guard measures room; None: there is none, or none new."""
@@ -253,7 +295,8 @@ class Explorer:
         self._follower = WaypointFollower(np.column_stack([path, height_m, np.append(yaw[:1], yaw)]), self._speed)
 
     def _end(self, here: Floats, why: str) -> None:
-        place = "at home" if self.at_home else f"{direction(here[:2] - self._start[:2])} of home"
+        away = "at home" if self.at_home else f"{direction(here[:2] - self._start[:2])} of home"
+        place = f"on the ground {away}" if self.landed else away
         self.ended = f"{place}: {why}"
 
 
@@ -273,7 +316,8 @@ class Exploration:
         plan = loop.scenario.flight
         self.loop, self.start, self.report_progress = loop, start, report_progress
         clearance_m = airframe(plan.vehicle).radius_m + plan.guard.margin_m
-        self.pilot = Explorer(start, time_s=time_s, speed_m_s=plan.speed_m_s, clearance_m=clearance_m)
+        self.pilot = Explorer(start, time_s=time_s, speed_m_s=plan.speed_m_s, clearance_m=clearance_m,
+                              drop_m=_height_over_ground(loop.scene, start))  # fmt: skip
         self.maps = MapFeed(self.pilot)
         self._flown: list[Trajectory] = []
         self._believed: list[Trajectory] = []
@@ -320,6 +364,18 @@ class Exploration:
     def flown(self) -> Trajectory:
         """True path of the body so far."""
         return _strung(self._flown)
+
+    @property
+    def aloft(self) -> Trajectory:
+        """The same before it lands."""
+        flown, end_s = self.flown, self.pilot.landing_from_s
+        return flown if end_s is None else flown[flown.t_ns <= end_s * 1e9]
+
+    @property
+    def contacts(self) -> tuple[tuple[float, str, float], ...]:
+        """Time [s], object, speed [m/s] of each contact before it lands: from then on the ground is touched."""
+        end_s = self.pilot.landing_from_s
+        return tuple(one for one in self.loop.contacts if end_s is None or one[0] < end_s)
 
     @property
     def believed(self) -> Trajectory:
@@ -387,6 +443,12 @@ class MapFeed(Sink):
             self.words = (
                 f"{item.free.sum() * area:.0f} m2 free, {item.occupied.sum() * item.grid.step_m:.0f} m of surface"
             )
+
+
+def _height_over_ground(scene: Scene, start: Floats) -> float | None:
+    """Return the height [m] of the start over what is below it; None: nothing is."""
+    away_m = float(Raycaster(scene).distances(start[None, :3], np.array([[0.0, 0.0, -1.0]]))[0])
+    return away_m if math.isfinite(away_m) else None
 
 
 def _strung(parts: list[Trajectory]) -> Trajectory:

@@ -17,6 +17,7 @@ from ullage.arrays import Bools, Floats
 from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError
 from ullage.experiments.exploration import Exploration
+from ullage.experiments.radar_poses import of_flight
 from ullage.flight.airframe import airframe
 from ullage.flight.obstacles import bodies, into
 from ullage.flight.random_flights import LATTICE_M
@@ -99,7 +100,7 @@ def judge(
     """
     plan, flown = flight.loop.scenario.flight, flight.flown
     length_m = float(np.linalg.norm(np.diff(flown.position, axis=0), axis=1).sum())
-    gap_m, touched = closest_m(scene, flown, plan.vehicle), flight.loop.contacts
+    gap_m, touched = closest_m(scene, flight.aloft, plan.vehicle), flight.contacts
     metrics = [
         Metric("flight_length", length_m, "m"),
         Metric("closest_approach", gap_m, "m"),
@@ -108,6 +109,9 @@ def judge(
     ]
     far, times = f"{length_m:.1f} m in {flown.duration_s:.0f} s", f"{len(touched)} contacts"
     lines = [flight.summary(), f"It flew {far} and came within {gap_m:.2f} m of a surface, with {times}."]
+    if (by := of_flight(flight.loop.poses, flown)) is not None:
+        words, scores = by.report()
+        lines, metrics = [*lines, *words], [*metrics, *scores]
     if not maps or not maps[-1][1].occupied.any():
         return Verdict(metrics, [*lines, "It mapped no surface."])
     grid = maps[-1][1].grid.at_height(float(flight.start[2]))

@@ -47,7 +47,7 @@ class Explored:
 
 def explore(
     world: str | Path | Scene, *, time_s: float = 120.0, height_m: float | None = None, seed: int = 7,
-    options: Sequence[str] = (), poses: Literal["exact"] | Believe = "exact",
+    options: Sequence[str] = (), poses: Literal["navigation", "radar"] | Believe = "navigation",
     progress: Callable[[str], None] | None = None,
 ) -> Explored:  # fmt: skip
     """Explore a world by radar: fly where the map could learn most for the time, guard always on, and come home.
@@ -58,8 +58,9 @@ def explore(
         height_m: of the flight [m]; None: that of the scenario's first waypoint.
         seed: of noise and gusts.
         options: `a.b=value` over the scenario.
-        poses: "exact": the scenario's navigation; or a callable that gives the believed pose of each step from the true
-            one, of which a simulated IMU is made, and from the step's frames without poses.
+        poses: "navigation": that of the scenario, exact by default; "radar": odometry; or a callable that gives the
+            believed pose of each step from the true one, of which a simulated IMU is made, and from the step's frames
+            without poses.
         progress: called with what the vehicle is doing, in words.
 
     Returns:
@@ -68,15 +69,16 @@ def explore(
     Raises:
         InputError: the world, its start or an option cannot be used.
     """
-    if poses != "exact" and not callable(poses):
-        raise InputError(f"poses is {poses!r}", where="explore", allowed='"exact", or a callable')
-    options = [*options, f"seed={checks.whole('seed', seed, 'explore', low=0)}"]
+    if poses not in ("navigation", "radar") and not callable(poses):
+        raise InputError(f"poses is {poses!r}", where="explore", allowed='"navigation", "radar", or a callable')
+    by = [] if callable(poses) else [f"flight.poses={poses}"]
+    options = [*by, *options, f"seed={checks.whole('seed', seed, 'explore', low=0)}"]
     scene = world if isinstance(world, Scene) else None
     if scene is not None:
         scenario = make_scenario({"name": "explore", "do": ["map"]}, options=options)
     else:
         scenario = flight_scenario(str(world), tasks=("map",), options=options, kind="explore")
-    given = None if poses == "exact" else poses
+    given = poses if callable(poses) else None
     flight = prepare(exploring(scenario, options), time_s=time_s, height_m=height_m, scene=scene, poses=given,
                      report_progress=progress)  # fmt: skip
     kept = _Kept()
@@ -87,7 +89,7 @@ def explore(
     out = run(flight, stages=[stage], sinks=[flight.maps, kept])
     pilot = flight.pilot
     return Explored(out.results[-1], gathered(kept.chunks), flight.flown, flight.believed, tuple(pilot.decisions),
-                    flight.loop.contacts, pilot.at_home, flight.summary())  # fmt: skip
+                    flight.contacts, pilot.at_home, flight.summary())  # fmt: skip
 
 
 @dataclass(slots=True)

@@ -15,6 +15,7 @@ from ullage.arrays import Floats
 from ullage.config import Scenario
 from ullage.data import Frames, Trajectory, strung
 from ullage.errors import InputError, UllageWarning
+from ullage.experiments.radar_poses import LivePoses
 from ullage.flight.airframe import airframe
 from ullage.flight.live import Steered, Wish
 from ullage.flight.navigation import navigate
@@ -45,7 +46,7 @@ class WaypointFollower:
 
     def __init__(self, points: Floats, speed_m_s: float) -> None:
         self._points, self._speed, self._next = points, speed_m_s, min(1, len(points) - 1)
-        self.arrived = False
+        self.arrived, self.landing = False, False
 
     @property
     def ahead(self) -> Floats:
@@ -88,6 +89,10 @@ class Pilot(Protocol):
     @property
     def heading_rad(self) -> float:
         """Heading wanted now [rad]."""
+
+    @property
+    def landing(self) -> bool:
+        """Whether it sinks to the ground: the guard then watches but limits nothing."""
 
     def velocity(self, position: Floats) -> Floats:
         """Velocity (3) wanted at a believed position (3) [m/s]."""
@@ -167,7 +172,7 @@ class Loop:
         receive: what reaches the stage of the frames, to try faults of sensors; None: all.
         stage: gives the obstacle distances.
         guarded: False: the guard watches but limits nothing, for comparison.
-        poses: gives the believed poses; None: the scenario's navigation.
+        poses: gives the believed poses; None: the scenario's navigation or odometry.
     """
 
     scenario: Scenario
@@ -227,6 +232,8 @@ class Loop:
         """
         plan, guard_spec = self.scenario.flight, self.scenario.flight.guard
         check_clear(start, plan.vehicle, self.scene)
+        if self.poses is None and plan.poses == "radar":
+            self.poses = LivePoses(self.scenario.seed)
         if 1 / self.rate_hz > guard_spec.latency_s:
             what = f"{self.rate_hz:g} frames a second and a latency of {guard_spec.latency_s:g} s"
             least = f">= one frame, {1 / self.rate_hz:.3g} s"
@@ -252,7 +259,8 @@ class Loop:
                 sectors = self._sectors(stage, chunk, int(truth.t_ns[0]))
                 wanted = pilot.velocity(believed.position[0])
                 limit = guard.limit(wanted, sectors, believed)
-                vehicle.ask(_wish(limit.velocity if self.guarded else wanted, pilot.heading_rad, believed))
+                allowed = limit.velocity if self.guarded and not pilot.landing else wanted
+                vehicle.ask(_wish(allowed, pilot.heading_rad, believed))
                 yield Flown(truth, believed, chunk, Step(int(truth.t_ns[0]), sectors, wanted, limit))
 
     def _believed(self, truth: Trajectory, frames: dict[str, Frames]) -> Trajectory:

@@ -14,6 +14,7 @@ from ullage.experiments.folder import RunFolder
 from ullage.experiments.imaging import ImagePlane
 from ullage.experiments.inspection import ObjectOnMap
 from ullage.experiments.obstacle_table import ObstacleTable
+from ullage.experiments.radar_poses import RadarPoses
 from ullage.experiments.report_collectors import QuietestFrames, RangeTime, SampledFrames
 from ullage.experiments.simulated import Simulated
 from ullage.pipeline import DetectStage, MapStage, Outcome, Sink, Source
@@ -62,6 +63,7 @@ class Run:
     map: MapStage | None = None
     obstacles: ObstacleTable | None = None
     exploration: Exploration | None = None  # the source, where it chose its own path
+    odometry: RadarPoses | None = None  # where the poses come from the radars
     findings: list[str] = field(default_factory=list)  # sentences of the report
     unmapped: Floats | None = None  # (k, 3) surface in sight that is not on the map [m]
     map_place: str = ""  # the plane or volume of the map, in words that begin a sentence
@@ -97,4 +99,5 @@ class Report:
 def of_scenario(place: RunFolder, simulated: Simulated) -> Run:
     """Make the run of a simulated scenario."""
     scenario = simulated.scenario
-    return Run(place, scenario, simulated, simulated.scene, simulated.flown, tasks=scenario.do)
+    return Run(place, scenario, simulated, simulated.scene, simulated.flown, tasks=scenario.do,
+               odometry=simulated.odometry)  # fmt: skip

@@ -269,6 +269,10 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
         words, found = verdict(part, maps[-1] if maps else None, places, job.marks, settled=job.settled)
         job.findings = [*words, *job.findings]
         out |= {one.name: one for one in found}
+    if job.odometry is not None:
+        words, found = job.odometry.report()
+        job.findings = [*words, *job.findings]
+        out |= {one.name: one for one in found}
     job.findings = [*job.findings, *_why_empty(job, maps)]
     faults = job.health.lines()
     job.findings = [*job.findings, *(f"{fault}. Its frames of that time are not in the map." for fault in faults)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -10,7 +9,8 @@ import numpy as np
 
 from ullage.config import FlightSpec, Scenario, WorldSpec
 from ullage.data import Frames, Trajectory, even_times, gathered, strung
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
+from ullage.experiments.radar_poses import RadarPoses, of_flight
 from ullage.specs import Rig
 from ullage.world.scene import Scene
 
@@ -19,13 +19,6 @@ PIECE = 64
 """Frames of a sensor in one piece."""
 WATCHED_S = 0.5
 """Longest piece of a flight that somebody watches, so that map and path come once a second."""
-
-
-DOUBTFUL = (
-    "poses come from the radars, with an inertial unit and an altimeter simulated from the true flight; "
-    "they are often lost within half a minute"
-)
-"""What a run by such poses warns of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,29 +32,11 @@ class Simulated:
     rig: Rig
     received: tuple[dict[str, Frames], ...] = ()  # of a flight in closed loop, which needs its frames during the flight
     piece: int = PIECE  # frames of a sensor that come at once
+    odometry: RadarPoses | None = None  # gives the poses that processors believe
 
     def stream(self) -> Iterator[dict[str, Frames]]:
         """Give the frames of each radar, chunk by chunk."""
-        return self._by_radar() if self.scenario.flight.poses == "radar" else self._stream()
-
-    def _by_radar(self) -> Iterator[dict[str, Frames]]:
-        """The frames with the poses that odometry estimates from them."""
-        from ullage.flight.imu import simulate_height, simulate_imu
-        from ullage.processing.odometry.odometry import Odometry
-
-        warnings.warn(DOUBTFUL, UllageWarning, stacklevel=2)
-        seed = self.scenario.seed
-        work = Odometry(start=self.flown[:1])
-        work.add_imu(simulate_imu(self.flown, seed=seed))
-        work.add_height(simulate_height(self.flown, seed=seed))
-        for chunk in self._stream():
-            work.add(chunk)
-            yield work.placed(chunk)
-        if lost := work.result().lost:
-            first = float(self.flown.t_ns[0])
-            spans = "; ".join(f"{(one.from_ns - first) * 1e-9:.1f} to {(one.to_ns - first) * 1e-9:.1f} s: {one.why}"
-                              for one in lost[:3])  # fmt: skip
-            warnings.warn(f"the radars' poses are not to be trusted from {spans}", UllageWarning, stacklevel=2)
+        return self._stream() if self.odometry is None or self.received else self.odometry.placed(self._stream())
 
     def _stream(self) -> Iterator[dict[str, Frames]]:
         if self.received:
@@ -108,7 +83,8 @@ def prepare(scenario: Scenario, *, scene: Scene | None = None, progress: Progres
     flown = fly_scenario(scenario, scene, rate_hz=rate_hz, progress=progress)
     nav = scenario.navigation
     believed = navigate(flown, noise_m=nav.noise_m, drift_m=nav.drift_m, yaw_deg=nav.yaw_deg, seed=scenario.seed)
-    return Simulated(scenario, scene, flown, believed, rig)
+    odometry = RadarPoses(flown, seed=scenario.seed, source="true flight") if scenario.flight.poses == "radar" else None
+    return Simulated(scenario, scene, flown, believed, rig, odometry=odometry)
 
 
 def _guarded(scenario: Scenario, scene: Scene, rig: Rig, *, rate_hz: float, progress: Progress | None) -> Simulated:
@@ -116,9 +92,11 @@ def _guarded(scenario: Scenario, scene: Scene, rig: Rig, *, rate_hz: float, prog
     from ullage.experiments.guarded_flight import Loop, warn_of
 
     points = np.array(waypoints_of(scenario.flight, scenario.world, scene))
-    flight = Loop(scenario, scene, rig, rate_hz).fly(points, progress=progress)
+    loop = Loop(scenario, scene, rig, rate_hz)
+    flight = loop.fly(points, progress=progress)
     warn_of(flight)
-    return Simulated(scenario, scene, flight.flown, flight.believed, rig, tuple(flight.frames))
+    return Simulated(scenario, scene, flight.flown, flight.believed, rig, tuple(flight.frames),
+                     odometry=of_flight(loop.poses, flight.flown))  # fmt: skip
 
 
 def radars_and_world(scenario: Scenario, scene: Scene | None = None) -> tuple[Rig, Scene]:

@@ -13,10 +13,11 @@ import numpy as np
 
 from ullage.arrays import Floats
 from ullage.config import Scenario, Task, is_set_by, make_scenario, run_name, split_source
-from ullage.data import Frames, Trajectory, strung
+from ullage.data import Frames, Trajectory, gathered, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
 from ullage.experiments.folder import RunFolder
+from ullage.experiments.radar_poses import RadarPoses
 from ullage.experiments.run import Run, of_scenario
 from ullage.experiments.simulated import Simulated, prepare
 from ullage.pipeline import LOGGER, Sink, check_sink
@@ -257,6 +258,11 @@ def _of_recording(
         source = InMemorySource(_on_one_clock(source, log, floor_z_m, None if survey is None else survey.places))
         first = next(source.stream())
     placed = all(part.poses is not None for part in first.values())
+    seen = make_scenario({"name": "any", "do": ["detect"]}, options=options)
+    odometry = _odometry(source, seen, target) if seen.flight.poses == "radar" else None
+    if odometry is not None:
+        source = InMemorySource(gathered(odometry.placed(source.stream())))
+        first = next(source.stream())
     if tasks is None:
         phase = all(part.ray_model is None for part in first.values())
         tasks = ("detect", "image", "map") if placed and phase else ("detect", "map") if placed else ("detect",)
@@ -265,7 +271,25 @@ def _of_recording(
     scenario = make_scenario(tree, options=options)
     flown = _track(source) if placed else None
     marks = None if rail is None else rail.reflectors()
-    return Run(NOWHERE, scenario, source, flown=flown, marks=marks, settled=survey is not None, tasks=scenario.do)
+    return Run(NOWHERE, scenario, source, flown=flown, marks=marks, settled=survey is not None, tasks=scenario.do,
+               odometry=odometry)  # fmt: skip
+
+
+def _odometry(source: Any, scenario: Scenario, target: str) -> RadarPoses:
+    """Get odometry ready, with inertial unit and altimeter from the track of a recording.
+
+    Raises:
+        InputError: there is no track, or the frames have no phase.
+    """
+    part = next(iter(next(source.stream()).values()))
+    if part.ray_model is not None or not (np.iscomplexobj(part.samples) or part.spec.output == "rf"):
+        raise InputError("frames without phase give no poses", where=target, allowed="flight.poses navigation")
+    track = part.track if part.track is not None else _track(source) if part.poses is not None else None
+    if track is None or len(track) < 2:
+        raise InputError("a recording without a track, of which to simulate the inertial unit", where=target,
+                         allowed="a track beside it, or flight.poses navigation")  # fmt: skip
+    body = track.mounted(np.linalg.inv(part.spec.mount.body_from_sensor()))
+    return RadarPoses(body, seed=scenario.seed, source="recorded track", captured=True)
 
 
 class _Begun:
@@ -327,6 +351,8 @@ def _begun(
         plan: returns the scenario for the tasks.
     """
     try:
+        if plan(()).flight.poses == "radar":
+            raise InputError("live frames keep their poses", where=place, allowed="flight.poses navigation")
         wait = tasks != ()
         begun = _Begun(source, wait=wait)
         if wait and not begun.first:

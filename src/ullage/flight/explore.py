@@ -1,10 +1,10 @@
 """Choose the next view on the map of a plane: the one that could teach most for its time, by space known to be free.
 
 Frontiers of free space draw the vehicle [Yamauchi1997]. A view is worth the unknown and ambiguous cells that its rays
-would enter, over the time to get there, as in next-best-view planners [BircherEtAl2016] [DangEtAl2020]. Radars see a
-smooth surface only along its normal, so a cell that a view did not teach may need another direction. Each view
-therefore counts in its direction alone, and what n of them left unknown is learned by the next one with a chance of
-1 / (1 + n), by the rule of succession.
+would enter, and a path what its views teach, discounted by when they do, as in next-best-view planners
+[BircherEtAl2016] [DangEtAl2020]. Radars see a smooth surface only along its normal, so a cell that a view did not teach
+may need another direction. Each view therefore counts in its direction alone, and what n of them left unknown is
+learned by the next one with a chance of 1 / (1 + n), by the rule of succession.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.errors import InputError
+from ullage.flight.live import LAG_S
 from ullage.flight.random_flights import lattice_graph
 from ullage.flight.tour import clear, straightened
 from ullage.grids import Grid, OccupancyMap
@@ -34,11 +35,10 @@ SHORTLIST, VIEWS_M = 24, 1.0  # the best single views, whose paths are compared 
 STRIDE_M = 0.4  # between places that are compared
 LEAST_GAIN_M2 = 0.25  # a view that teaches less is not worth a flight
 APERTURE_M = 0.5  # of track that a view needs at least
-STOP_S = 2.0  # of every flight to a view: start, turn and stop
-SLACK = 1.3  # flown time over that of the straight segments
-RESERVE_S = 4.0  # left at home
+RESERVE_S = 4.0  # left at home, as the guard may slow the way there
 SURELY_FREE = 0.95  # chance that a cell is free, from which paths may cross it; the guard looks ahead besides
 TIGHT = 2.0  # cost of a cell that was flown through with less than the asked clearance: the guard slows flights there
+HORIZON_S = 10.0  # what is learned so much later counts 1 / e
 KEEP = 1.5  # a goal is kept until another one is better by as much
 
 Kind = Literal["view", "probe", "turn", "aside", "home"]
@@ -71,8 +71,8 @@ class Situation:
     wide: Bools  # (ny, nx) those with the asked clearance, not only flown through
     cells: Longs  # (n, 2) those cells
     away_m: Floats  # (2, n) shortest way to each from the vehicle and from home, inf where there is none [m]
-    before: Ints  # (n) cell before each on the way from the vehicle, below zero where there is none
-    home: int  # cell of home
+    before: Ints  # (2, n) cell before each on those ways, below zero where there is none
+    here: int  # cell of the vehicle
     narrow: bool  # it can go nowhere with the asked clearance
 
 
@@ -139,11 +139,27 @@ class ViewPlanner:
         far = np.isfinite(away[0]) & (away[0] * self.grid.step_m >= APERTURE_M)
         narrow = not bool((far & wide[open_]).any())
         at = np.asarray(place, float)[:2]
-        return Situation(omap, at, open_, wide, np.argwhere(open_), away * self.grid.step_m, before[0], ends[1], narrow)
+        return Situation(omap, at, open_, wide, np.argwhere(open_), away * self.grid.step_m, before, ends[0], narrow)
 
-    def time_s(self, length_m: ArrayLike) -> Floats:
-        """Time that paths take [s]."""
-        return np.asarray(SLACK * np.asarray(length_m, float) / self.speed_m_s + STOP_S)
+    def time_s(self, length_m: ArrayLike, turns: float = 0.0) -> Floats:
+        """Time that flights from rest take [s].
+
+        The vehicle reaches a new velocity with the lag of its controller. Each segment therefore takes that lag times
+        the share of the speed that is new along it: all of it at the start, 1 - cos(turn) at a corner. The heading
+        follows meanwhile, and costs no time.
+
+        Args:
+            length_m: of the paths, any shape [m].
+            turns: 1 - cos(turn), summed over the corners.
+        """
+        return np.asarray(np.asarray(length_m, float) / self.speed_m_s + LAG_S * (1.0 + turns))
+
+    def path_s(self, path: Floats) -> float:
+        """Time that a flight from rest along a path (n, 2) takes [s]."""
+        steps = np.diff(path, axis=0)
+        length_m = np.linalg.norm(steps, axis=1)
+        unit = steps[length_m > 0] / length_m[length_m > 0, None]
+        return float(self.time_s(length_m.sum(), float((1.0 - (unit[1:] * unit[:-1]).sum(1)).sum())))
 
     def is_open(self, now: Situation, path: Floats) -> bool:
         """Whether a path (n, 2) crosses open cells only [m]."""
@@ -162,10 +178,10 @@ class ViewPlanner:
 
     def home(self, now: Situation) -> Leg | None:
         """Return the way home, or None if it is barred."""
-        length_m = float(now.away_m[0, now.home])
-        if not math.isfinite(length_m):
+        if not math.isfinite(now.away_m[1, now.here]):
             return None
-        return Leg("home", self._path(now, now.home), "home", travel_s=float(self.time_s(length_m)))
+        path = self._path_home(now, now.here)
+        return Leg("home", path, "home", travel_s=self.path_s(path))
 
     def next_view(self, now: Situation, left_s: float, *, kept: Leg | None = None) -> Leg | None:
         """Return the best view whose path there and then home fits the time left; None: none is worth it.
@@ -178,25 +194,27 @@ class ViewPlanner:
         stride = max(round(STRIDE_M / self.grid.step_m), 1)
         wanted = (now.cells % stride == 0).all(1)
         same = np.zeros(len(wanted), bool) if kept is None else (now.cells == self._cell(kept.goal)).all(1)
-        travel_s, home_s = self.time_s(now.away_m)
+        travel_s, home_s = self.time_s(now.away_m)  # along the lattice, and so but a first estimate
         wanted &= (now.away_m[0] >= APERTURE_M) & now.wide[now.open]  # what was flown through is a way, not a goal
         rows = np.flatnonzero((wanted | same) & (travel_s + home_s + RESERVE_S <= left_s))
         if not len(rows):
             return None
         classes = _classes(now.omap)
-        first = self._single(classes, now.cells[rows]) / travel_s[rows]
+        first = self._single(classes, now.cells[rows]) * np.exp(-travel_s[rows] / HORIZON_S)
         rows = rows[(np.argsort(-first, kind="stable")[:SHORTLIST])]
         if same.any() and np.isfinite(travel_s[same][0]):
             rows = np.union1d(rows, np.flatnonzero(same))
         paths = [self._path(now, int(row)) for row in rows]
-        gain = np.array([self._along(classes, path) for path in paths])
-        rate = np.where(gain >= LEAST_GAIN_M2, gain / travel_s[rows], 0.0) * np.where(same[rows], KEEP, 1.0)
-        best = int(np.argmax(rate))
-        if rate[best] <= 0:
+        there_s = np.array([self.path_s(path) for path in paths])
+        back_s = np.array([self.path_s(self._path_home(now, int(row))) for row in rows])
+        gain, worth = np.array([self._along(classes, path) for path in paths]).T
+        useful = (gain >= LEAST_GAIN_M2) & (there_s + back_s + RESERVE_S <= left_s)
+        worth = np.where(useful, worth, 0.0) * np.where(same[rows], KEEP, 1.0)
+        best = int(np.argmax(worth))
+        if worth[best] <= 0:
             return None
         words = f"to the frontier {direction(paths[best][-1] - now.place)}"
-        times = float(travel_s[rows[best]]), float(home_s[rows[best]])
-        return Leg("view", paths[best], words, float(gain[best]), *times)
+        return Leg("view", paths[best], words, float(gain[best]), float(there_s[best]), float(back_s[best]))
 
     def _single(self, classes: Ints, cells: Longs) -> Floats:
         """Area that single views from cells (n, 2) could teach [m2]."""
@@ -206,25 +224,36 @@ class ViewPlanner:
             gain[part] = (self._new(seen, worth) * self._rays.area_m2).sum((1, 2))
         return gain
 
-    def _along(self, classes: Ints, path: Floats) -> float:
-        """Area that the views along a path could teach together [m2]."""
+    def _along(self, classes: Ints, path: Floats) -> tuple[float, float]:
+        """Area that the views along a path could teach together, and the same discounted by when it is taught [m2]."""
         s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
         at = np.linspace(0, s[-1], max(round(s[-1] / VIEWS_M), 1) + 1)[1:]
         cells, _ = self.grid.index(np.stack([np.interp(at, s, path[:, k]) for k in range(2)], 1))
         seen, worth = self._rays.cast(classes, cells)
-        chance = np.zeros(self.grid.size)
-        np.maximum.at(chance, seen.ravel(), self._new(seen, worth).ravel())
-        return self.grid.step_m**2 * float(chance.sum())
+        new, total = self._new(seen, worth), []
+        soon = np.exp(-self.time_s(at) / HORIZON_S)[:, None, None]
+        for share in (new, new * soon):
+            chance = np.zeros(self.grid.size)
+            np.maximum.at(chance, seen.ravel(), share.ravel())
+            total.append(self.grid.step_m**2 * float(chance.sum()))
+        return total[0], total[1]
 
     def _new(self, seen: Longs, worth: Floats) -> Floats:
         """Chance that rays teach cells (n, rays, steps), with the views so far."""
         return np.asarray(worth / (1.0 + self._views[self._rays.sector[:, None], seen]))
 
     def _path(self, now: Situation, node: int) -> Floats:
+        return self._back(now, 0, node)[::-1]
+
+    def _path_home(self, now: Situation, node: int) -> Floats:
+        return self._back(now, 1, node)
+
+    def _back(self, now: Situation, end: int, node: int) -> Floats:
+        """Straight segments (n, 2) from a cell to an end of the shortest ways [m]."""
         nodes = [node]
-        while now.before[nodes[-1]] >= 0:
-            nodes.append(int(now.before[nodes[-1]]))
-        cells = now.cells[nodes[::-1]]
+        while now.before[end, nodes[-1]] >= 0:
+            nodes.append(int(now.before[end, nodes[-1]]))
+        cells = now.cells[nodes]
         cells = cells[straightened(cells, now.wide)]
         return np.column_stack([self.grid.x_m[cells[:, 1]], self.grid.y_m[cells[:, 0]]])
 

@@ -70,7 +70,9 @@ MPU6000 = ImuSpec(
 """White noise alone: the data sheet's densities, 0.005 deg/s and 400 ug/sqrt(Hz), are one-sided [MPU6000]."""
 
 
-def simulate_imu(path: Trajectory, spec: ImuSpec | None = None, *, still_s: float = 2.0, seed: int = 0) -> Imu:
+def simulate_imu(
+    path: Trajectory, spec: ImuSpec | None = None, *, still_s: float = 2.0, seed: int = 0, begun_ns: int | None = None
+) -> Imu:
     """Simulate the readings of an inertial unit at the body's origin.
 
     A reading is the mean since the one before it, as units give it that integrate in between. The noise of a reading
@@ -81,6 +83,7 @@ def simulate_imu(path: Trajectory, spec: ImuSpec | None = None, *, still_s: floa
         spec: the unit; None: a BMI088.
         still_s: the body rests at its first pose for so long before the path begins; readings then come before it [s].
         seed: of noise and offsets.
+        begun_ns: start of the flight that the path is a piece of, for the offsets; None: that of the path [ns].
 
     Raises:
         InputError: the path is no trajectory of two poses or more, or a number is out of bounds.
@@ -100,7 +103,7 @@ def simulate_imu(path: Trajectory, spec: ImuSpec | None = None, *, still_s: floa
     force = np.concatenate([np.tile(GRAVITY_M_S2 * turn[2], (count, 1)), force])
     t_ns = np.concatenate([still, moving])
     turned, pushed = white_noise(t_ns, spec, seed=seed)
-    bias = _bias(t_ns - first, spec, seed)
+    bias = _bias(t_ns - (first if begun_ns is None else begun_ns), spec, seed)
     return Imu(t_ns, rate + bias[:, :3] + turned, force + bias[:, 3:] + pushed)
 
 

@@ -27,6 +27,8 @@ _CLIMB_M_S, _ACCELERATION_M_S2 = 1.0, 1.5
 _GOAL_M_S = 1.0  # greatest level speed on the direct path to a position
 _AHEAD = 1.5  # how far ahead on a path the vehicle aims, over the distance at which it slows down
 _SPEED_S, _SMOOTH_S = 0.35, 0.08  # time constants of the requested speed and acceleration [s]
+LAG_S = _SPEED_S + _SMOOTH_S
+"""Time by which a vehicle lags behind a step of the requested speed, below the limit of its acceleration [s]."""
 _TURN_S, _TURN_RAD_S = 1.5, math.radians(60)
 
 

@@ -96,12 +96,14 @@ class Odometry:
         return list(self._due())
 
     def placed(self, frames: Mapping[str, Frames]) -> dict[str, Frames]:
-        """Frames that were added, at the estimated poses; those of other times are left out."""
-        path = self.result().trajectory
+        """Frames that were added, at the estimated poses; those without a pose that is to be trusted are left out."""
+        if not self._poses:
+            return {}
+        path, trusted = self.result().trajectory, np.array([not one.lost for one in self._poses])
         out = {}
         for name, part in frames.items():
             row = np.minimum(np.searchsorted(path.t_ns, part.t_ns), len(path) - 1)
-            known = path.t_ns[row] == part.t_ns
+            known = (path.t_ns[row] == part.t_ns) & trusted[row]
             if known.any():
                 out[name] = replace(part[known], poses=path[row[known]].mounted(self._mounts[name]), track=None)
         return out

@@ -1,0 +1,190 @@
+"""Fly explorers and scripted surveys of equal time, and write one row a flight to `studies/results/exploring.csv`.
+
+    python -m studies.tables.exploring [--seconds 60] [--seeds 1 2] [--worlds ntnu-room silo] [--kinds explorer survey]
+
+A world is a library world, or a kind of the random ones, of which the seed picks one. The survey is a round along the
+walls, 1 m from them, or the flight of the world itself where there is no such round. It flies without a guard, at the
+same speed, back and forth until the time is up, and need not come home. Rows that the file holds are not flown again,
+so a run that was cut short goes on. Worlds longer than 9 m get a longer pulse interval.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import time
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+import ullage as ul
+from tools.results import RESULTS, save
+from ullage.arrays import Floats
+from ullage.config import Scenario, make_scenario
+from ullage.data import Frames, Imu
+from ullage.errors import InputError
+from ullage.experiments.exploration import Exploration
+from ullage.experiments.exploration_report import closest_m, judge, observable_from, reachable
+from ullage.experiments.guarded_flight import Loop
+from ullage.experiments.radar_poses import LivePoses
+from ullage.experiments.report_collectors import SampledFrames
+from ullage.flight.airframe import GRAVITY_M_S2
+from ullage.flight.missions import along_walls
+from ullage.grids import Grid
+from ullage.pipeline import InMemorySource, MapStage, run
+from ullage.processing.metrics import on_map
+from ullage.view.replay import MapHistory
+from ullage.world.library import WORLDS
+from ullage.world.scene import Scene
+
+NAME, RATE_HZ, SPEED_M_S, STEP_M = "exploring", 10.0, 0.5, 0.1
+LONG = ("sensing.changes.prf_div=64", "sensing.changes.iterations=24")  # no folds in a world longer than 9.87 m
+KINDS = ("explorer", "survey", "radar poses", "radar dies", "IMU jumps")
+PLACES = ("ntnu-room", "office", "pipe-rack", "ballast-tank", "silo", "lying-tank", "cargo-hold")
+HEADER = ("world", "seed", "flight", "time [s]", "mapped at half", "mapped", "contacts", "closest [m]", "rms [m]",
+          "end [m]", "lost [%]", "CPU [s/s]")  # fmt: skip
+
+
+class Place(NamedTuple):
+    """A world and where flights in it go."""
+
+    scene: Scene
+    start: Floats  # (4) x, y, z [m], yaw [deg]
+    path: Floats  # (n, 3) of its own flight [m]
+    plan: Scenario
+
+    @property
+    def grid(self) -> Grid:
+        """Plane or volume of the map."""
+        return Grid.covering(self.scene.bounds, STEP_M, margin_m=1.0)
+
+
+def place_of(world: str, seed: int, *options: str) -> Place:
+    """Load a world and the settings of a flight in it."""
+    if world in WORLDS:
+        scene, path = WORLDS[world].scene(), np.array(WORLDS[world].path_xyzyaw)[:, :3]
+        start = np.array(WORLDS[world].start)
+    else:
+        scene, path = ul.worlds.random(world, seed), ul.worlds.flight(world, seed).position
+        start = np.array([*path[0, :2], path[:, 2].mean(), 0.0])
+    long = LONG if float(np.ptp(scene.bounds, axis=0)[:2].max()) > 9.0 else ()
+    given = ["flight.guard.on=true", f"flight.speed_m_s={SPEED_M_S}", f"seed={seed}", *long, *options]
+    return Place(scene, start, path, make_scenario({"name": "exploring"}, options=given))
+
+
+class Dying:
+    """Frames without those of one radar from a time on."""
+
+    def __init__(self, sensor: str, from_s: float) -> None:
+        self._sensor, self._from_s = sensor, from_s
+
+    def __call__(self, frames: dict[str, Frames]) -> Mapping[str, Frames]:
+        """Return what still comes."""
+        late = float(next(iter(frames.values())).t_ns[-1]) * 1e-9 >= self._from_s
+        return {name: part for name, part in frames.items() if not (late and name == self._sensor)}
+
+
+class Jumping(LivePoses):
+    """Poses by an inertial unit whose offsets jump at a time."""
+
+    def __init__(self, seed: int, from_s: float) -> None:
+        super().__init__(seed)
+        self._from_s = from_s
+
+    def read(self, imu: Imu) -> Imu:
+        """Return readings with the jump: 1 deg/s about the vertical, and 50 mg ahead."""
+        late = (imu.t_ns * 1e-9 >= self._from_s)[:, None]
+        turn, push = np.array([0.0, 0.0, math.radians(1.0)]), np.array([0.05 * GRAVITY_M_S2, 0.0, 0.0])
+        return Imu(imu.t_ns, imu.angular_velocity + late * turn, imu.specific_force + late * push)
+
+
+def explore(world: str, seed: int, seconds: float, kind: str) -> list[str]:
+    """Let the explorer fly, and judge it."""
+    radar = kind in ("radar poses", "IMU jumps")
+    place = place_of(world, seed, *(["flight.poses=radar"] if radar else []))
+    loop = Loop(place.plan, place.scene, place.plan.sensing.radars(), RATE_HZ)
+    if kind == "IMU jumps":
+        loop.poses = Jumping(seed, seconds / 2)
+    if kind == "radar dies":
+        loop.receive = Dying(next(iter(loop.rig.sensors)), seconds / 2)
+    history, kept = MapHistory(), SampledFrames()
+    begun = time.process_time()
+    flight = Exploration(loop, place.start, time_s=seconds)
+    stages = [kept, MapStage(place.grid, every_s=0.5, live=True)]
+    out = run(flight, stages=stages, sinks=[flight.maps, history])
+    cpu_s = time.process_time() - begun
+    maps = [*history.maps(), (flight.flown.duration_s, out.results[0])]
+    judged = judge(flight, maps, place.scene, kept.frames())
+    print(*judged.lines, sep="\n", flush=True)
+    found = {one.name: one.value for one in judged.metrics}
+    errors = [f"{found[name]:.{digits}f}" if name in found else ""
+              for name, digits in (("pose_rms", 2), ("pose_end", 2), ("poses_lost", 0))]  # fmt: skip
+    return [
+        f"{flight.flown.duration_s:.0f}", f"{found.get('explored_at_50', 0):.2f}", f"{found.get('explored', 0):.2f}",
+        f"{found['contacts']:.0f}", f"{found['closest_approach']:.2f}", *errors,
+        f"{cpu_s / flight.flown.duration_s:.1f}",
+    ]  # fmt: skip
+
+
+def survey(world: str, seed: int, seconds: float) -> list[str]:
+    """Fly the script, map it as the explorer does, and judge by the same surface."""
+    place = place_of(world, seed)
+    scene, rig, start = place.scene, place.plan.sensing.radars(), place.start
+    begun = time.process_time()
+    flown = scripted(place, seconds, seed)
+    frames, history = ul.simulate(scene, flown, rig, seed=seed), MapHistory()
+    out = run(InMemorySource(frames, round(RATE_HZ / 2)), stages=[MapStage(place.grid, every_s=0.5, live=True)],
+              sinks=[history])  # fmt: skip
+    cpu_s = time.process_time() - begun
+    clearance_m = Exploration(Loop(place.plan, scene, rig, RATE_HZ), start, time_s=1.0).clearance_m
+    surface = observable_from(scene, place.grid.at_height(float(start[2])), rig,
+                              reachable(scene, start, clearance_m=clearance_m))  # fmt: skip
+    points = surface.points[surface.observable(1)]
+    half = [omap for at, omap in history.maps() if at <= flown.duration_s / 2][-1]
+    return [
+        f"{flown.duration_s:.0f}", f"{on_map(half, points).mean():.2f}", f"{on_map(out.results[0], points).mean():.2f}",
+        "", f"{closest_m(scene, flown, 'hector'):.2f}", "", "", "", f"{cpu_s / flown.duration_s:.1f}",
+    ]  # fmt: skip
+
+
+def scripted(place: Place, seconds: float, seed: int) -> ul.Trajectory:
+    """The survey's flight."""
+    start = place.start
+    try:
+        points = along_walls(place.scene, float(start[2]), distance_m=1.0, inside=start[:2]).points[:, :3]
+    except InputError:
+        points = place.path
+    first = int(np.argmin(np.linalg.norm(points - start[:3], axis=1)))
+    points = np.vstack([start[:3], np.roll(points[:-1], -first, axis=0), points[first]])
+    points = points[np.append(True, np.linalg.norm(np.diff(points, axis=0), axis=1) > 0.05)]
+    while np.linalg.norm(np.diff(points, axis=0), axis=1).sum() < SPEED_M_S * seconds:
+        points = np.vstack([points, points[-2::-1]])
+    return ul.fly(ul.Waypoints(points, SPEED_M_S, yaw="along"), rate_hz=RATE_HZ, seed=seed)[: int(seconds * RATE_HZ)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--worlds", nargs="+", default=list(PLACES))
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=["explorer", "survey", "radar poses"])
+    given = parser.parse_args()
+    file = RESULTS / f"{NAME}.csv"
+    rows = [*csv.reader(line for line in file.open() if not line.startswith("# "))][1:] if file.exists() else []
+    for seed in given.seeds:
+        for world in given.worlds:
+            for kind in given.kinds:
+                key = [world, str(seed), kind]
+                if key in [row[:3] for row in rows]:
+                    continue
+                row = survey(world, seed, given.seconds) if kind == "survey" else explore(
+                    world, seed, given.seconds, kind)  # fmt: skip
+                rows.append([*key, *row])
+                print(" | ".join(rows[-1]), flush=True)
+                save(NAME, [HEADER, *rows], "python -m studies.tables.exploring")
+
+
+if __name__ == "__main__":
+    main()
