@@ -115,7 +115,7 @@ class MountSpec(Spec):
     roll_deg: float = 0.0
     pitch_deg: float = Field(0.0, description="positive looks down")
     yaw_deg: float = Field(0.0, description="positive looks to the left")
-    position_sigma_m: float = Field(0.01, ge=0, le=1, description="one sigma of each coordinate of the position")
+    position_sigma_m: float = Field(0.001, ge=0, le=1, description="one sigma of each coordinate of the position")
     angle_sigma_deg: float = Field(1.0, ge=0, le=90, description="one sigma of the direction of the boresight")
 
     def body_from_sensor(self) -> NDArray[np.float64]:

@@ -408,14 +408,15 @@ def test_laps_over_the_same_places_add_neither_evidence_nor_surfaces():
     assert odds[2] < 1.05 * odds[1]
 
 
-def test_directions_are_summed_as_the_definition_says():
+@pytest.mark.parametrize("together", [1.0, 0.4, 0.0])
+def test_directions_are_summed_as_the_definition_says(together):
     rng = np.random.default_rng(5)
     rows, bins = 24, 60
     samples = rng.normal(size=(rows, bins, 2)).astype(np.float32)
-    offset, sensor = rng.normal(size=(rows, 3)) * 4, np.arange(rows) % 3
+    offset, sensor = rng.normal(size=(rows, 3)) * 4, np.repeat(np.arange(3), 8)
     gains = np.linspace(1.0, 0.2, 2001) * np.array([[1.0], [0.8], [0.6]])
-    axes, phase = np.eye(3), 1.7
-    aperture = Aperture(samples, offset, sensor, axes, gains, phase, np.arange(rows) // 3, np.zeros((3, 3)))
+    axes, phase, moment = np.eye(3), 1.7, np.tile(np.arange(8), 3)
+    aperture = Aperture(samples, offset, sensor, axes, gains, phase, moment, np.zeros((3, 3)), np.array([together]))
     directions = rng.normal(size=(70, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     sums = DirectionSums(directions)
@@ -432,14 +433,37 @@ def test_directions_are_summed_as_the_definition_says():
             at = k + delay
             whole = (np.floor(at) >= 0) & (np.floor(at) < bins - 1)
             value = [np.interp(x, np.arange(bins), row) for x, row in zip(at, signal, strict=True)]
-            z = np.sum(np.where(whole, gain * np.array(value) * np.exp(1j * phase * delay), 0))
-            energy[d, k] = abs(z) ** 2 / np.sum(gain**2)
+            z = np.where(whole, gain * np.array(value) * np.exp(1j * phase * delay), 0).reshape(3, 8).sum(axis=1)
+            explained = together * abs(z.sum()) ** 2 + (1 - together) * np.abs(z).sum() ** 2
+            energy[d, k] = explained / np.sum(gain**2)
     best, d, k = sums.strongest(1.0, 5, bins - 5)
     assert (d, k) == np.unravel_index(np.argmax(energy), energy.shape)
     assert best == pytest.approx(energy.max(), rel=1e-4)
     low = sums.strongest(np.where(np.arange(bins) == k, 1e6, 1.0), 5, bins - 5)
     energy[:, k] = 0
     assert low[1:] == np.unravel_index(np.argmax(energy), energy.shape)
+
+
+@pytest.mark.parametrize("turn", [0.0, 2 * np.pi / 3])
+def test_radars_whose_phases_disagree_are_summed_by_size(turn):
+    """Mounts that are off by more than a few millimetres turn the phases of their radars against each other."""
+    frames = flown(curve(), wall(40, 2.4), wall(-130, 3.0))
+    frames = {
+        name: replace(part, samples=part.samples * np.exp(1j * turn * k))
+        for k, (name, part) in enumerate(frames.items())
+    }
+    mapper = mapped(frames)
+    assert mapper.mount_coherence < 0.1 if turn else mapper.mount_coherence > 0.9
+    strongest = max(mapper.surfaces(), key=lambda one: one.log_odds)
+    unit = np.array([np.cos(np.radians(40)), np.sin(np.radians(40))])
+    assert np.cos(strongest.state[1] - np.radians(40)) > np.cos(np.radians(4.0))
+    assert strongest.state[0] + strongest.position @ unit == pytest.approx(2.4, abs=0.03)
+
+
+def test_without_echoes_the_stated_accuracy_of_the_mounts_counts():
+    for sigma_m, coherence in ((0.0, 1.0), (0.001, 0.91), (0.01, 0.0)):
+        spec = RIG["front"].but(mount=RIG["front"].mount.but(position_sigma_m=sigma_m))
+        assert mapped(flown(curve(), spec=spec)).mount_coherence == pytest.approx(coherence, abs=0.01)
 
 
 def envelopes(frames):
@@ -554,7 +578,8 @@ def twelve_moments():
     samples = np.zeros((48, 40, 2), np.float32)
     samples[:, 18:22, 0] = 1.0
     sensor, gains = np.arange(48) % 4, np.ones((4, 2001))
-    return Aperture(samples, np.zeros((48, 3)), sensor, np.eye(4, 3), gains, 3.0, moment, np.zeros((3, 3))), moment
+    spread, together = np.zeros((3, 3)), np.ones(1)
+    return Aperture(samples, np.zeros((48, 3)), sensor, np.eye(4, 3), gains, 3.0, moment, spread, together), moment
 
 
 def test_echoes_correct_the_positions_along_their_direction():

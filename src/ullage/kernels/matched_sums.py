@@ -15,6 +15,7 @@ LEAST_GAIN = 0.1  # amplitude against the sensor that faces the direction best; 
 ROUNDS, STEPS = 5, 6  # of the search: each round has smaller steps
 SHRINK = 0.45
 COHERENT = 0.95  # expected coherence from which the sizes of the moments' sums are left out
+TOGETHER = 0.9  # the same of the sensors' sums: exact mounts show that much
 LEAST_COSINE = 0.2  # of the elevation that the search tries
 LEAST_LYING = 0.01  # the same of lying cylinders, whose bearing stays known straight above and below
 GAIN_CELLS = 2000  # cells of the table of gains, even in 1 - cosine
@@ -25,12 +26,13 @@ class Aperture(NamedTuple):
 
     samples: NDArray[np.float32]  # (m, b, 2) baseband, real and imaginary part
     offset: NDArray[np.float64]  # (m, 3) of the sensor from the place [bin]
-    sensor: NDArray[np.int64]  # (m) row of `axes`
+    sensor: NDArray[np.int64]  # (m) row of `axes`; the frames of one sensor follow one another
     axes: NDArray[np.float64]  # (s, 3) boresights
     gains: NDArray[np.float64]  # (s, GAIN_CELLS + 1) two-way amplitude gain, against 1 - cosine
     phase: float  # of one bin of range [rad]; 0 where samples are envelopes
     moment: NDArray[np.int64]  # (m) index of the time of each row
     spread: NDArray[np.float64]  # (3, 3) covariance of the errors of a moment's position [bin^2]
+    together: NDArray[np.float64]  # (1) expected coherence between sensors, under the errors of their mounts
 
 
 @inner(fastmath=True)
@@ -154,7 +156,8 @@ def sum_turned(
     """Energy that one reflector in each direction and bin explains.
 
     The sum over rows of gain times sample, turned by the phase of the delay, squared, over the sum of squared gains.
-    Where the positions have errors, the sums of the moments count by their sizes as far as their phases are unknown.
+    Where the positions have errors, the sums of the moments count by their sizes as far as their phases are unknown;
+    where the mounts have errors, those of the sensors.
 
     Args:
         aperture: the rows.
@@ -180,11 +183,18 @@ def sum_turned(
             x[i, k], y[i, k] = aperture.samples[i, before + k, 0], aperture.samples[i, before + k, 1]
     moments = aperture.moment.max() + 1
     parts = np.empty((2, moments, high - low), np.float32)
+    before_it, size = np.empty((2, high - low), np.float32), np.empty(high - low, np.float32)
+    every = np.empty(high - low, np.float32)
+    together = np.float32(aperture.together[0])
+    alone = together < TOGETHER and aperture.phase != 0
     for d in range(start, stop):
         coherence = _expected_coherence(aperture, turns.directions[d])
         apart = coherence < COHERENT
         real[:] = 0.0
         imag[:] = 0.0
+        before_it[:] = 0.0
+        size[:] = 0.0
+        every[:] = 0.0
         if apart:
             parts[:] = 0.0
         for n in range(turns.counted[d]):
@@ -204,18 +214,30 @@ def sum_turned(
                 for k in range(np.uint64(begin - low), np.uint64(max(end, begin) - low)):
                     u = x[i, at] * rest + x[i, at + one] * share
                     v = y[i, at] * rest + y[i, at + one] * share
-                    parts[0, t, k] += u * c - v * s
-                    parts[1, t, k] += u * s + v * c
+                    p, q = u * c - v * s, u * s + v * c
+                    parts[0, t, k] += p
+                    parts[1, t, k] += q
+                    every[k] += math.sqrt(p * p + q * q)
                     at += one
+            if alone and (n + 1 == turns.counted[d] or aperture.sensor[turns.row[d, n + 1]] != aperture.sensor[i]):
+                for k in range(high - low):
+                    x_one, y_one = real[k] - before_it[0, k], imag[k] - before_it[1, k]
+                    size[k] += math.sqrt(x_one * x_one + y_one * y_one)
+                    before_it[0, k], before_it[1, k] = real[k], imag[k]
         scale = np.float32(1 / turns.total[d])
         for k in range(high - low):
             out[d, low + k] = _square(aperture, real[k], imag[k]) * scale
         if apart:
             for k in range(high - low):
-                size = np.float32(0.0)
+                sizes = np.float32(0.0)
                 for t in range(moments):
-                    size += math.sqrt(parts[0, t, k] * parts[0, t, k] + parts[1, t, k] * parts[1, t, k])
-                out[d, low + k] = coherence * out[d, low + k] + (1 - coherence) * size * size * scale
+                    sizes += math.sqrt(parts[0, t, k] * parts[0, t, k] + parts[1, t, k] * parts[1, t, k])
+                out[d, low + k] = coherence * out[d, low + k] + (1 - coherence) * sizes * sizes * scale
+        if alone:
+            share = np.float32(coherence if apart else 1.0)
+            for k in range(high - low):
+                explained = share * size[k] * size[k] + (1 - share) * every[k] * every[k]
+                out[d, low + k] = together * out[d, low + k] + (1 - together) * explained * scale
 
 
 @loop()
@@ -256,7 +278,7 @@ def _fit_at(
         sums[s, 0] = 0.0
         sums[s, 1] = 0.0
         sums[s, 2] = 0.0
-    energy = total = 0.0
+    energy = total = every = 0.0
     parts[:] = 0.0
     curvature, place, cosine, lying = reflector[1], reflector[2], reflector[3], reflector[4]
     for i in range(samples.shape[0]):
@@ -276,18 +298,24 @@ def _fit_at(
         parts[aperture.moment[i], 0] += gain[mine] * (x * real - y * imag)
         parts[aperture.moment[i], 1] += gain[mine] * (x * imag + y * real)
         energy += x * x + y * y
+        every += gain[mine] * math.sqrt(x * x + y * y)
         total += gain[mine] ** 2
-    real, imag = 0.0, 0.0
+    real, imag, alone = 0.0, 0.0, 0.0
     for s in range(len(gain)):
         real += gain[s] * sums[s, 0]
         imag += gain[s] * sums[s, 1]
-    coherence = _expected_coherence(aperture, unit)
+        alone += gain[s] * math.sqrt(sums[s, 0] * sums[s, 0] + sums[s, 1] * sums[s, 1])
+    coherence, together = _expected_coherence(aperture, unit), aperture.together[0]
     whole = _square(aperture, real, imag)
     if coherence < COHERENT:
         size = 0.0
         for t in range(len(parts)):
             size += math.sqrt(parts[t, 0] * parts[t, 0] + parts[t, 1] * parts[t, 1])
         whole = coherence * whole + (1 - coherence) * size * size
+    if together < TOGETHER and aperture.phase != 0:
+        share = coherence if coherence < COHERENT else 1.0
+        alone = share * alone * alone + (1 - share) * every * every
+        whole = together * whole + (1 - together) * alone
     return whole / max(total, 1e-9), energy
 
 

@@ -21,7 +21,7 @@ from ullage.kernels.matched_sums import LEAST_GAIN
 from ullage.processing.likelihood.direction_sums import DirectionSums
 from ullage.processing.likelihood.echoes import FAR_END_M, LEAST_ROWS, MOST_COHERENCE, SAME_RANGE_M
 from ullage.processing.likelihood.keyframes import Keyframe
-from ullage.processing.likelihood.poses import AperturePoses, EchoPhases, PoseErrors, range_sigma
+from ullage.processing.likelihood.poses import AperturePoses, EchoPhases, MountErrors, PoseErrors, range_sigma
 from ullage.processing.likelihood.spec import LikelihoodSpec
 
 COSINE_STEP, ROLLS = 0.04, 12  # of the first search: a lobe of the aperture, and half a beam of the antennas
@@ -112,7 +112,7 @@ class DirectionFinder:
 
     def __init__(self, spec: LikelihoodSpec) -> None:
         self._spec = spec
-        self.pose_errors = PoseErrors()
+        self.pose_errors, self.mount_errors = PoseErrors(), MountErrors()
         cosines = np.linspace(-1, 1, round(2 / COSINE_STEP) + 1)
         x = np.array([1.0, 0.0, 0.0])
         self._turned = np.concatenate([ring(x, c, max(round(ROLLS * math.sqrt(1 - c * c)), 1)) for c in cosines])
@@ -132,6 +132,7 @@ class DirectionFinder:
         track = _track_of(aperture.offset, aperture.sensor)
         floor, found, patterns = np.ones(bins), list[_Echo](), Patterns(cubes, np.ascontiguousarray(key.turns))
         if len(aperture.offset) >= LEAST_ROWS and low < high:
+            self.mount_errors.expect(aperture, key.mount_sigma_m / key.bin_m)
             poses, samples = AperturePoses(aperture), aperture.samples.copy()
             poses.expect(self.pose_errors.sigma_m / key.bin_m)
             directions = self._turned @ np.concatenate([track[None], across(track, np.eye(3)[2])])

@@ -21,7 +21,7 @@ from ullage.kernels.matched_sums import LEAST_GAIN, Aperture, refine, subtract
 from ullage.processing.likelihood.direction_sums import DirectionSums
 from ullage.processing.likelihood.keyframes import Keyframe
 from ullage.processing.likelihood.lying import lying_share
-from ullage.processing.likelihood.poses import AperturePoses, EchoPhases, PoseErrors, range_sigma
+from ullage.processing.likelihood.poses import AperturePoses, EchoPhases, MountErrors, PoseErrors, range_sigma
 from ullage.processing.likelihood.rivals import APART, MOST_LEAD, MirrorLevel, ring_of, rivals_of, track_of
 from ullage.processing.likelihood.spec import LikelihoodSpec
 
@@ -38,6 +38,7 @@ FINE_LYING = (0.5, 0.05, 0.25, 0.02)
 TILTED, SLOPES = (1.5, 0.2, 0.5, 0.04), (0.95, 0.87, 0.77, 0.64, 0.5)  # the same for slopes; their cosines
 AS_IT_IS = (0.0, 0.0, 0.0, 0.0)  # no search
 CLEAR = 0.97  # coherence of a level reflector from which no slope is tried
+LEAST_CLEAR = 0.95  # coherence of a level reflector that speaks for the mounts
 SAME_RANGE_M = 0.1  # within which an echo may be that of a known surface
 
 Found = tuple[Floats, Floats, float, float, float]
@@ -78,7 +79,7 @@ class EchoFinder:
 
     def __init__(self, spec: LikelihoodSpec) -> None:
         self._spec = spec
-        self.pose_errors = PoseErrors()
+        self.pose_errors, self.mount_errors = PoseErrors(), MountErrors()
         self.left: Left | None = None
         self._mirror = MirrorLevel()
         bearing = np.arange(spec.directions) * 2 * np.pi / spec.directions
@@ -112,6 +113,7 @@ class EchoFinder:
         found: list[Led] = []
         self.left = None
         if len(aperture.offset) >= LEAST_ROWS and low < high:
+            self.mount_errors.expect(aperture, key.mount_sigma_m / key.bin_m)
             poses, samples = AperturePoses(aperture), aperture.samples.copy()
             poses.expect(self.pose_errors.sigma_m / key.bin_m)
             self._sums.begin(aperture)
@@ -148,6 +150,8 @@ class EchoFinder:
                 fit, sums, lead = self._led(key, fit, sums, strongest=not out)
             if first and not out and aperture.phase:
                 self._learn(key, poses, start, fit)
+                if k >= key.silent_bin:  # an own echo comes from no direction
+                    self._learn_mounts(key, k)
             fit, echo = self._explain(key, poses, (fit, sums), (floor[k] - 1) * noise)
             if start[0] > 0:
                 out.append((*echo, lead))
@@ -172,6 +176,22 @@ class EchoFinder:
         expected, fitted = math.exp(-0.5 * poses.variance(unit)), 3 if start[0] > 0 else 2
         self.pose_errors.learn(phases, fitted, expected, 4 * math.pi / key.wavelength_m)
         poses.expect(self.pose_errors.sigma_m / key.bin_m)
+
+    def _learn_mounts(self, key: Keyframe, at: int) -> None:
+        """Learn how coherent the sensors are from the echo at a bin, searched for anew with free phases between them.
+
+        A direction that was fitted to these phases would agree with them.
+        """
+        aperture, reach = key.aperture, int(key.pulse) + 2
+        low, high = max(at - reach, 0), min(at + reach, aperture.samples.shape[1])
+        together, aperture.together[0] = aperture.together[0], 0.0
+        self._sums.sum(low, high)
+        _, d, k = self._sums.strongest(1.0, low, high)
+        fit, sums = self._fitted(key, np.array([self._level[d], self._bearing[d], 0.0, k, 0.0]), COARSE)
+        if fit[0] > LEAST_CLEAR * fit[1]:
+            self.mount_errors.learn(gains_of(aperture, _unit(fit[5], fit[2])), sums)
+        aperture.together[0] = together
+        self._sums.sum(low, high)
 
     def _explain(
         self, key: Keyframe, poses: AperturePoses, hypothesis: tuple[Floats, Floats], left: float

@@ -212,7 +212,7 @@ class KeyframeSelector:
         blind_m = max(channel.own_m if channel.envelope else min(channel.own_m, BLIND_M) for channel in channels)
         return Keyframe(
             place,
-            Aperture(pairs, offset, sensor, axes, gains, phase, moment, np.zeros((3, 3))),
+            Aperture(pairs, offset, sensor, axes, gains, phase, moment, np.zeros((3, 3)), np.ones(1)),
             leader.start_m,
             leader.bin_m,
             float(np.median([row.noise for _, row in picked])),

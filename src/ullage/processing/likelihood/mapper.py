@@ -57,7 +57,7 @@ class LikelihoodMapper:
             raise InputError("this mapper maps a plane", where="grid", allowed="a grid with dims=2, or VolumeMapper")
         grid.check_memory(40, "the map")
         self._echoes = EchoFinder(spec := self._set_up(grid, spec, vehicle_radius_m))
-        self._pose_errors = self._echoes.pose_errors
+        self._pose_errors, self._mount_errors = self._echoes.pose_errors, self._echoes.mount_errors
         self._floor_z_m = None if floor_z_m is None else checks.number("floor_z_m", floor_z_m, "mapper")
         self._tracker = SurfaceTracker(spec)
         self._silence = Silence(grid, spec)
@@ -162,6 +162,12 @@ class LikelihoodMapper:
         """White error of one coordinate of the positions, as the latest echoes show it (standard deviation) [m]."""
         self._work.finish()
         return self._pose_errors.sigma_m
+
+    @property
+    def mount_coherence(self) -> float:
+        """Coherence of the radars with each other, as the latest echoes show it: 1 where the mounts are as stated."""
+        self._work.finish()
+        return self._mount_errors.coherence
 
     def changed(self) -> Changes:
         """The blocks in which the map differs from that of the last call."""

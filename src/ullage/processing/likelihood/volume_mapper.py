@@ -48,7 +48,7 @@ class VolumeMapper(LikelihoodMapper):
     ) -> None:
         grid.check_memory(60, "the map")
         self._finder = DirectionFinder(spec := self._set_up(grid, spec, vehicle_radius_m))
-        self._pose_errors = self._finder.pose_errors
+        self._pose_errors, self._mount_errors = self._finder.pose_errors, self._finder.mount_errors
         floor = None if floor_z_m is None else checks.number("floor_z_m", floor_z_m, "mapper")
         self._space = SpatialTracker(spec, floor)
         self._cubes: dict[str, Floats] = {}
