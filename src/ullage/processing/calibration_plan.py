@@ -31,6 +31,7 @@ SNR_M = 3.0
 """Distance at which the signal-to-noise ratio of a reflector is given [m]."""
 CLOCK_S, RATE, SCALE = 0.01, 5e-5, 0.01
 """Wanted sigmas: 5 mm at 0.5 m/s, the tolerance of a quartz, and 1 % of the track."""
+LEVER_ARM_M = 0.01  # wanted sigma of each coordinate of the antenna's place
 LEAST_SHARE = 0.1  # of a wanted sigma that a combination of quantities names
 BLIND = 1e-12  # share of the greatest information that is round-off
 LOST = 1e-8  # share of a quantity in what is blind
@@ -52,7 +53,7 @@ def quantities(spec: RadarSpec) -> tuple[Quantity, ...]:
         Quantity("clock", "ms", 1e3, CLOCK_S),
         Quantity("clock rate", "ppm", 1e6, RATE),
         Quantity("range zero", "mm", 1e3, spec.range_zero_sigma_m),
-        *(Quantity(f"lever arm {axis}", "mm", 1e3, max(mount.position_sigma_m, 1e-3)) for axis in "xyz"),
+        *(Quantity(f"lever arm {axis}", "mm", 1e3, LEVER_ARM_M) for axis in "xyz"),
         *(Quantity(f"boresight {axis}", "deg", degree, max(mount.angle_sigma_deg, 0.1) / degree)
           for axis in ("up or down", "left or right")),
         Quantity("scale of the track", "%", 100.0, SCALE),
