@@ -153,9 +153,9 @@ def test_sigmas_are_the_scatter_of_fits_to_noisy_echoes(monkeypatch: pytest.Monk
 
 
 def test_what_is_wanted_is_what_radar_and_mount_claim() -> None:
-    mount = ul.MountSpec(position_sigma_m=0.03, angle_sigma_deg=2.5)
+    mount = ul.MountSpec(angle_sigma_deg=2.5)
     wanted = [one.wanted for one in quantities(RADAR.but(mount=mount, range_zero_sigma_m=0.04))]
-    assert wanted[ZERO : UP + 1] == pytest.approx([0.04, 0.03, 0.03, 0.03, np.radians(2.5)])
+    assert wanted[ZERO : UP + 1] == pytest.approx([0.04, 0.01, 0.01, 0.01, np.radians(2.5)])
     shown = plan_calibration(straight(), RADAR.but(mount=mount), PLACES, **UNKNOWN).undetermined
     assert {"clock", "lever arm x"} <= set(shown)
 
