@@ -27,6 +27,7 @@ REACHES = 2, 5  # scales on either side of 1 that are tried, the second where th
 FINER = 2.0  # shorter parts of the track to draw scatterers from than for offsets: a scale hardly defocuses them
 MOST_STARTS, MOST_RANGES = 16, 16
 DISPERSION = 10.0  # of this evidence: between wrong scales the log-likelihood of scatterers drawn anew differs by 25
+OPEN = "the echoes do not decide the scale of the track"
 LINE = 0.1  # width of a track over its length below which directions round it, and so heights, are open
 STRAIGHT = 0.02  # share of a track's length below which its extent shows no direction
 TURNS = {
@@ -51,6 +52,7 @@ class TrackScale(NamedTuple):
 def track_scale(frames: Frames, track: Trajectory, clock_s: float, ranges_m: Floats, log_prior: Floats) -> TrackScale:
     """Compare the evidence of scales of a track, under a clock offset [s] and a prior of range offsets (k) [m]."""
     likely = np.flatnonzero(log_prior > log_prior.max() - DECISIVE)
+    open_zero = len(likely) == len(ranges_m)
     likely, zero_m = likely[:: max(1, len(likely) // MOST_RANGES)], float(ranges_m[log_prior.argmax()])
     found: dict[int, float] = {}
     for reach in REACHES:
@@ -69,15 +71,10 @@ def track_scale(frames: Frames, track: Trajectory, clock_s: float, ranges_m: Flo
     if off > DECISIVE:  # unless another range zero explains the echoes as well
         gain = _coherence(PointFocus(frames, track, clock_s, finer=FINER), clock_s, ranges_m, zero_m)
         off = float(value.max() - gain.max() / DISPERSION - log_prior.max())
-    words = "" if decided else "the echoes do not decide the scale of the track"
+    words = "" if decided else OPEN
     extent = np.linalg.svd(track.position - track.position.mean(0), compute_uv=False)
-    if (
-        off > DECISIVE and extent[1] < LINE * extent[0]
-    ):  # scatterers at other heights than assumed bend their echoes alike
-        off, words = (
-            0.0,
-            f"the echoes fit a track {mean:.2f} times as large, or scatterers at other heights than assumed",
-        )
+    if off > DECISIVE and open_zero and extent[1] < LINE * extent[0]:  # scatterers at other heights bend echoes alike
+        off, words = 0.0, f"{OPEN}: they fit one {mean:.2f} times as large, or scatterers at other heights"
     sigma = float(np.sqrt(share @ (scale - mean) ** 2 + (STEP * mean) ** 2 / 12))
     return TrackScale(mean, sigma, off, words)
 
