@@ -27,7 +27,11 @@ from ullage.errors import UllageError
 
 Moved = Callable[[ul.Trajectory], ul.Trajectory]
 RIGHT_S, RIGHT_M, SIGMAS = 0.02, 0.05, 3.0
-SCALE, AXES = ("scale of the track",), ("axes", "the track may be", "cannot tell this track")
+RATE, SCALE, AXES = (
+    ("rate of the clock",),
+    ("scale of the track",),
+    ("axes", "the track may be", "cannot tell this track"),
+)
 
 
 class Distortion(NamedTuple):
@@ -112,8 +116,8 @@ DISTORTIONS = {
     "quaternions conjugated": Distortion(attitude(-1, -1, -1, 1), AXES),
     "attitude level": Distortion(attitude(0), AXES),
     "backwards in time": Distortion(backwards),
-    "times 1 % long": Distortion(timed(1.01)),
-    "times 1 % short": Distortion(timed(0.99)),
+    "times 1 % long": Distortion(timed(1.01), RATE),
+    "times 1 % short": Distortion(timed(0.99), RATE),
     "times 10 % long": Distortion(timed(1.1)),
     "times 2 s early": Distortion(timed(1.0, -2.0), (), -2.0),
     "track of the other recording": Distortion(scaled(1.0)),  # replaced in `main`

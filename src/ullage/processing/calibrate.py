@@ -355,7 +355,7 @@ def _settle(
         probability,
         modes,
         _thinned(clock.offset_s, clock.log_posterior),
-        message=_axes(frames, track, best),
+        message=_unchecked(frames, track, best),
     )
 
 
@@ -373,14 +373,19 @@ def _sized(frames: Frames, track: Trajectory, found: Calibration, prior: _Prior)
     return replace(found, scale=size.scale, scale_sigma=size.sigma, message=said)
 
 
-def _axes(frames: Frames, track: Trajectory, best: _Focus) -> str:
-    """What directions of echoes say about the track's axes."""
+def _unchecked(frames: Frames, track: Trajectory, best: _Focus) -> str:
+    """What the echoes say about the track's axes, and whether they show the rate of the clock."""
     if best.found is None:
         return ""
     bundle, focus = best.found
     near = np.searchsorted(track.t_ns, (focus.t_s + bundle.theta[CLOCK]) * 1e9).clip(0, len(track) - 1)
     rotation = quat_matrix(track.quat_xyzw[near])
-    return track_axes(focus.bent(bundle.theta), rotation, bundle.points, focus.weight, frames.spec)
+    axes = track_axes(focus.bent(bundle.theta), rotation, bundle.points, focus.weight, frames.spec)
+    open_rate = bundle.covariance[RATE, RATE] > RATE_SIGMA**2 / 2  # echoes tell less than the prior
+    rate = (
+        f"the rate of the clock is unchecked, and taken as right within {1e6 * RATE_SIGMA:g} ppm" if open_rate else ""
+    )
+    return "; ".join(filter(None, (axes, rate)))
 
 
 def _method(spec: RadarSpec, prior: _Prior, places: Floats | None, points: int) -> str:
