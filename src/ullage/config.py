@@ -102,8 +102,8 @@ class FlightSpec(Spec):
     hover_s: float = Field(0.0, ge=0, le=600, description="hover at the last waypoint")
     poses: Literal["navigation", "radar"] = Field(
         "navigation",
-        description="what the processors believe: navigation's errors on the truth, or the track of a recording; or "
-        "odometry by the radars, with a simulated inertial unit and altimeter",
+        description="navigation: the true flight with navigation's errors, or a recording's track; radar: odometry by "
+        "the radars, with a simulated inertial unit and altimeter",
     )
     guard: GuardSpec = GuardSpec()
 

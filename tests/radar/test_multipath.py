@@ -1,5 +1,7 @@
 """Mirrors: how much they pass on, and how they are chosen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from ullage.radar.physical import path_gain_cw
 from ullage.radar.prepared import prepare
 from ullage.world import shapes
 from ullage.world.scene import Scene
+from ullage.world.solids import flat
 
 
 def covered(widths, before=4.0, after=6.0, wavelength=0.04):
@@ -49,6 +52,24 @@ def test_clutter_of_small_boxes_on_the_wall_does_not_change_the_third_order_of_a
 
     empty, cluttered = third(room), third(Scene.union([room, *boxes]))
     assert abs(cluttered - empty).max() < 0.1 * abs(empty).max()
+
+
+def test_a_wall_with_a_round_hole_takes_the_place_of_no_other_mirror():
+    """Its convex parts are many, and as large as each other by the size of the wall."""
+    shapely = pytest.importorskip("shapely")
+    radar = ul.RadarSpec.preset("x4m05", noise=None)
+    front = ul.scenes.plate(5, 2, 2.5, name="front")
+    side = replace(ul.scenes.plate(5, 2, 2.5, name="side"), vertices=front.vertices[:, [1, 0, 2]])
+    corner, path = Scene.union([front, side]), ul.Trajectory.stationary(position_m=(0.1, -0.2, 0.05), yaw_deg=45)
+
+    def twice(hole):
+        wall = flat(shapely.box(-2, -2, 2, 2) - hole, lambda uv: np.column_stack([np.full(len(uv), -1.0), uv]))
+        scene = Scene.union([corner, Scene.of_mesh(*wall, name="wall")])
+        one = [ul.simulate(scene, path, radar, max_bounces=order).samples[0] for order in (1, 2)]
+        return (one[1] - one[0])[radar.range_m > 3.0]
+
+    whole, holed = twice(shapely.Point(0, 0).buffer(0)), twice(shapely.Point(1.2, 1.2).buffer(0.4, quad_segs=24))
+    assert abs(holed - whole).max() < 0.03 * abs(whole).max()
 
 
 def test_the_choice_of_mirrors_changes_nothing_suddenly(monkeypatch):

@@ -72,7 +72,7 @@ def test_turning_triangles_at_the_end_of_the_frame_changes_no_sample(bounces):
         assert 20 * np.log10(change.max() / abs(still).max() + 1e-12) < -100
 
 
-OPEN = pytest.mark.xfail(strict=True, reason="-77 dB at one bounce: in 3 of 16 poses an echo changes; cause not known")
+OPEN = pytest.mark.xfail(strict=True, reason="-77 dB at one bounce: a plate's echo beside bars that stand on it")
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from ullage.kernels.bounces import Mirrors, Orientations, reflect_field
 from ullage.kernels.edges import mirror
 from ullage.kernels.lit import spot as shortest
 from ullage.kernels.loops import core, lean
+from ullage.kernels.near import LEAST_M
 from ullage.kernels.outlines import held
 from ullage.kernels.vectors import field_across, mirrored, unit_to
 
@@ -224,7 +225,8 @@ def _stops(i: int, side: int, point: Floats, paths: MirrorPaths, flat: FlatFaces
             before += normals[p, k] * images[i, side, step - 1, k]
             here += normals[p, k] * images[i, side, step, k]
             there += normals[p, k] * out[step + 1, k]
-        if before * there <= 0:
+        # a point in the mirror's plane is not before it, and round-off must not decide
+        if before * there <= LEAST_M * abs(before):
             return -1
         share = here / (here - there)
         for k in range(3):

@@ -104,11 +104,13 @@ def _chosen(planar: PlanarPatches, sizes: Floats, gate_m: float, wavelength_m: f
     """Choose the mirrors and end faces of the largest apparent sizes (p).
 
     The choice is made anew at each pose. The weight of a face rises from 0 as its size exceeds the largest one left
-    out, so that nothing changes suddenly along a track.
+    out, so that nothing changes suddenly along a track. Whole faces are chosen: the convex parts of one with holes
+    would take the places of other mirrors.
     """
     sizes = sizes * _wide(planar, np.sqrt(wavelength_m * gate_m / 2))
-    mirrors, mirror_weights = choose_largest(sizes[planar.flat_of])
-    return Chosen(mirrors, mirror_weights, *choose_largest(sizes))
+    faces, weights = choose_largest(sizes)
+    mirror_weights = weights[planar.flat_of]
+    return Chosen(np.flatnonzero(mirror_weights), mirror_weights, faces, weights)
 
 
 @lru_cache(maxsize=8)
