@@ -58,16 +58,6 @@ def test_direct_path_is_zero_up_to_its_end_and_untouched_beyond():
     np.testing.assert_array_equal(kept.samples[:, far], frames.samples[:, far])
 
 
-def test_noise_that_all_bins_share_goes_with_the_direct_path():
-    frames = passing()
-    rng = np.random.default_rng(1)
-    wobble = (1 + 0.05 * rng.standard_normal(len(frames))) * np.exp(0.3j * rng.standard_normal(len(frames)))
-    shaken = replace(frames, samples=(frames.samples * wobble[:, None]).astype(np.complex64))
-    steady = clean.reference_to_direct_path(shaken)
-    scale = np.vdot(frames.samples, steady.samples) / np.vdot(frames.samples, frames.samples)
-    assert np.abs(steady.samples - scale * frames.samples).max() < 1e-3 * np.abs(steady.samples).max()
-
-
 def test_floor_is_pressed_down_at_the_height_and_nowhere_else():
     path = ul.Trajectory.line((0, 0, 1.2), (0, 1, 1.2), 0.5, 10)
     frames = frames_of_points([(0, 0.5, 0.0), (4.0, 0.5, 1.2)], path, spec=SPEC)
@@ -127,7 +117,6 @@ def test_smoothing_is_the_mean_of_neighbours():
     (lambda f: clean.remove_background(f, method="median"), "no method 'median'.*mean, exponential, svd"),
     (lambda f: clean.remove_background(f, method="exponential", time_constant_s=0), "time_constant_s is 0"),
     (lambda f: clean.remove_background(f, method="svd", rank=0), "rank is 0"),
-    (lambda f: clean.reference_to_direct_path(f, until_m=-1), "no bins within -1"),
     (lambda f: clean.suppress_floor(f, floor_m=2.0), "1.00 m under the floor"),
     (lambda f: clean.smooth(f, bins=4), "bins is 4.*odd"),
 ])  # fmt: skip

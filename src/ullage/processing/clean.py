@@ -14,7 +14,7 @@ from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.fan import ray_area, ray_fan, smoothed
 from ullage.geometry import C0, quat_matrix
-from ullage.processing.baseband import envelope, is_amplitude, to_baseband
+from ullage.processing.baseband import envelope, is_amplitude
 from ullage.specs import ThesisSpec
 
 
@@ -75,28 +75,6 @@ def _recent(frames: Frames, time_constant_s: float) -> NDArray[np.complex64] | S
 def remove_direct_path(frames: Frames, *, until_m: float = 0.45) -> Frames:
     """Frames whose bins nearer than `until_m` [m] are zero: leakage and ringing of the device itself."""
     return _with(frames, np.where(frames.range_m < until_m, 0, frames.samples))
-
-
-def reference_to_direct_path(frames: Frames, *, until_m: float = 0.45) -> Frames:
-    """Frames rid of the phase and amplitude noise that all bins of a frame share.
-
-    Every frame is scaled by the one complex number that lays its direct path (bins nearer than `until_m` [m]) on
-    the mean direct path; takes strong bins down to the additive noise on real recordings [X4Recordings].
-
-    Raises:
-        InputError: amplitudes without phase, or no bins within `until_m`.
-    """
-    values = to_baseband(frames)
-    near = frames.range_m < until_m
-    if not near.any():
-        raise InputError(
-            f"no bins within {until_m} m", where=frames.sensor, allowed="a range axis with the direct path"
-        )
-    mean = values[:, near].mean(0)
-    ratio = values[:, near] @ mean.conj() / float(np.vdot(mean, mean).real or 1.0)
-    steady = values / np.where(abs(ratio) > 0.1, ratio, 1.0)[:, None]
-    spec = frames.spec if frames.spec.output == "baseband" else frames.spec.but(output="baseband", decimation=1)
-    return replace(frames, samples=steady.astype(np.complex64), spec=spec)
 
 
 def suppress_floor(frames: Frames, *, floor_m: float = 0.0, depth_db: float = 30.0) -> Frames:
