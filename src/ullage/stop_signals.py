@@ -58,6 +58,18 @@ class StopFlag:
             _raise(number, frame)
 
 
+def raise_if_stopped() -> None:
+    """Raise the KeyboardInterrupt of a signal within `stop_as_ctrl_c` again, where foreign code lost it.
+
+    Python drops an exception that a signal raises while objects are deleted or C code calls back.
+
+    Raises:
+        KeyboardInterrupt: a signal raised one before.
+    """
+    if _raised.is_set():
+        raise KeyboardInterrupt
+
+
 @contextmanager
 def stop_as_ctrl_c() -> Iterator[None]:
     """Treat SIGTERM and SIGHUP as Ctrl-C within the block; a signal that the caller ignores (nohup) stays ignored.

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -310,6 +310,17 @@ def test_a_second_signal_ends_at_once_with_readable_files(place: Path) -> None:
     assert (read_map(draft / "map.yaml").percent >= 0).any()
     assert len(ul.open(str(draft)).frames()) > 0
     assert not [p for p in draft.rglob(".*") if p.is_file()]
+
+
+def test_a_second_signal_that_foreign_code_loses_ends_the_run_too(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def loses_it(*_: object) -> None:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr("ullage.experiments.runner.keep_replay", loses_it)
+    assert ullage("run", "plan.yaml") == 130
+    (draft,) = (place / "runs").glob(".*.draft")
+    assert RunFolder(draft).state == "unfinished"
 
 
 def wait_for_the_end(pids: set[int]) -> None:

@@ -32,6 +32,7 @@ from ullage.flow import Stage
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import LOGGER, DetectStage, ImageStage, MapStage, Outcome, Sink, Source, run
 from ullage.processing.obstacles import ObstacleStage
+from ullage.stop_signals import raise_if_stopped
 from ullage.world.scene import Scene
 
 Log = Callable[[str], None]
@@ -117,6 +118,7 @@ def _finish(job: Run, outcome: Outcome, log: Log | None) -> Report:
         metrics = _metrics(job, outcome)
         figures = _write_parts(job, outcome, metrics, log)
         compared = answer()
+    raise_if_stopped()
     write_json(job.folder / "findings.json", _findings(job, compared))
     state = "interrupted" if outcome.interrupted else "complete"
     done = {"state": state, "timing": job.timing, "interrupted": outcome.interrupted}
