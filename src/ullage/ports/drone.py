@@ -10,11 +10,12 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
 from ullage.arrays import Floats
+from ullage.errors import InputError
 from ullage.flight.live import Wish
 from ullage.flight.pilot import HOVER, Velocity
 from ullage.geometry import quat_matrix, quat_rpy
@@ -38,24 +39,6 @@ class DroneOptions(Spec):
     odom: str = ""
     cmd_vel: str = ""
     setpoint: str = ""
-
-
-class Drone(Protocol):
-    """External drone on a network."""
-
-    counters: Counters  # of messages that could not be used
-
-    def states(self) -> list[BodyState]:
-        """Return the states since the last call, in order of time."""
-
-    def steer(self, velocity: Velocity) -> None:
-        """Command a velocity in the level frame of the heading."""
-
-    def go_to(self, position: tuple[float, float, float], heading_rad: float) -> None:
-        """Command a set-point in the world of the drone's odometry."""
-
-    def close(self) -> None:
-        """Leave the network."""
 
 
 class Limits(NamedTuple):
@@ -85,8 +68,8 @@ def state_of(t_ns: int, pose: Any, twist: Any) -> BodyState | str:
     return BodyState(t_ns, *placed, quat_matrix(placed[1]) @ linear, angular)
 
 
-class TopicDrone(ABC):
-    """Drone that publishes its odometry; messages that cannot be used are counted.
+class Drone(ABC):
+    """External drone that publishes its odometry; messages that cannot be used are counted.
 
     Args:
         odom: topic of the odometry.
@@ -115,6 +98,22 @@ class TopicDrone(ABC):
                     self._last_ns = found.t_ns
                     out.append(found)
         return out
+
+    @abstractmethod
+    def steer(self, velocity: Velocity) -> None:
+        """Command a velocity in the level frame of the heading."""
+
+    def go_to(self, position: tuple[float, float, float], heading_rad: float) -> None:
+        """Command a set-point in the world of the drone's odometry.
+
+        Raises:
+            InputError: it takes none.
+        """
+        raise InputError(self.refusal, where="takes", allowed=", ".join(self.takes))
+
+    @abstractmethod
+    def close(self) -> None:
+        """Leave the network."""
 
     @abstractmethod
     def _arrived(self) -> Iterator[bytes]:

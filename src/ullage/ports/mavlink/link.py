@@ -14,7 +14,7 @@ import numpy as np
 from ullage.errors import InputError
 from ullage.ports.intake import Counters, Inbox, Log, Once
 from ullage.ports.mavlink.options import LinkOptions, place_of
-from ullage.ports.mavlink.wire import Decoder, Sender, Wire, mavlink, open_wire
+from ullage.ports.mavlink.wire import Decoder, Sender, StreamWire, UdpWire, mavlink, open_wire
 from ullage.ports.network import Place, SharedLinks
 
 Role = Literal["source", "sink"]
@@ -155,7 +155,7 @@ class Link:
         log: takes lines for the user.
     """
 
-    def __init__(self, wire: Wire, options: LinkOptions, log: Log) -> None:
+    def __init__(self, wire: UdpWire | StreamWire, options: LinkOptions, log: Log) -> None:
         self.dialect, self.options, self.name = mavlink(), options, wire.name
         self.counters = Counters(log)
         self.clock = ClockOffset(self.counters)
