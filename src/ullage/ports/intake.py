@@ -202,7 +202,7 @@ class Counters:
         """Report what was dropped since the last report: the first time at once, later ones ever more rarely."""
         with self._lock:
             due = [entry for entry, count in self._dropped.items() if not self._too_soon(entry, count)]
-            lines = [self._line(entry) for entry in due]
+            lines = [f"{entry.topic}: dropped {self._counted(entry)}" for entry in due]
         for line in lines:
             self.log(line)
 
@@ -210,9 +210,9 @@ class Counters:
         """One line for each topic that lost messages, for the end of a run; empty where none did."""
         with self._lock:
             topics = sorted({entry.topic for entry in self._dropped})
-            lines = [f"{topic}: {self._of(topic)}{self._share(topic)}" for topic in topics]
+            lines = [f"{topic}: {self._of(topic)}" for topic in topics]
             if self._steps > 1:  # one was reported when it came
-                lines.append(f"the clock stepped {_times(self._steps)}")
+                lines.append(f"the clock stepped {'twice' if self._steps == 2 else f'{self._steps:,} times'}")
         return lines
 
     def values(self) -> list[tuple[str, str]]:
@@ -241,24 +241,15 @@ class Counters:
         state.count, state.next_s = count, now + state.wait_s
         return False
 
-    def _line(self, entry: _Entry) -> str:
-        return f"{entry.topic}: dropped {self._counted(entry)}"
-
     def _counted(self, entry: _Entry) -> str:
         causes = "; ".join(self._causes[entry])
         return f"{self._dropped[entry]:,} {entry.reason}" + (f" ({causes})" if causes else "")
 
     def _of(self, topic: str) -> str:
         entries = (_Entry(topic, reason) for reason in REASONS)
-        return "dropped " + ", ".join(self._counted(entry) for entry in entries if self._dropped[entry])
-
-    def _share(self, topic: str) -> str:
+        dropped = ", ".join(self._counted(entry) for entry in entries if self._dropped[entry])
         received = self._received[topic]
-        return f", of {received:,} received" if received else ""
-
-
-def _times(count: int) -> str:
-    return "twice" if count == 2 else f"{count:,} times"
+        return f"dropped {dropped}" + (f", of {received:,} received" if received else "")
 
 
 ItemT = TypeVar("ItemT")
@@ -453,18 +444,17 @@ class Covered:
         self.total_s = 0.0
         """Time covered so far [s]."""
 
-    def take(self, t_ns: ArrayLike) -> Floats:
-        """Take the next stamps (n) [ns], and give the time covered until each of them (n) [s]."""
+    def take(self, t_ns: ArrayLike) -> None:
+        """Take the next stamps (n) [ns]."""
         times = np.atleast_1d(np.asarray(t_ns, np.int64))
         if not len(times):
-            return np.zeros(0)
+            return
         first = int(times[0]) if self._last_ns < 0 else self._last_ns
         newest = np.maximum(np.maximum.accumulate(times), first)
         steps = np.diff(newest, prepend=first)
-        sums = self._sum_ns + np.cumsum(np.where(steps <= self._gap_ns, steps, 0))
-        self._last_ns, self._sum_ns = int(newest[-1]), int(sums[-1])
+        self._last_ns = int(newest[-1])
+        self._sum_ns += int(steps[steps <= self._gap_ns].sum())
         self.total_s = self._sum_ns * 1e-9
-        return np.asarray(sums * 1e-9, np.float64)
 
 
 def checked_pose(position: ArrayLike, quat_xyzw: ArrayLike) -> tuple[Floats, Floats] | str:
