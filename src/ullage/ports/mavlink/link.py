@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ullage.errors import InputError
+from ullage.flow import Closing
 from ullage.ports.intake import Counters, Inbox, Log, Once
 from ullage.ports.mavlink.options import LinkOptions, place_of
 from ullage.ports.mavlink.wire import Decoder, Sender, StreamWire, UdpWire, mavlink, open_wire
@@ -144,7 +145,7 @@ class Autopilot:
     there: bool = True
 
 
-class Link:
+class Link(Closing):
     """Speaks with one autopilot, from a thread of its own.
 
     Messages of other systems and components are ignored and counted. `wait` gives the messages that hold poses.
