@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,11 +11,9 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import Field
 
-from ullage.arrays import Floats
 from ullage.config import Fidelity
 from ullage.data import Frames
 from ullage.errors import InputError
-from ullage.flow import Sink
 from ullage.ports.diagnostics import RadarStatus
 from ullage.ports.dynamic_scene import DynamicScene
 from ullage.ports.intake import (
@@ -34,10 +30,8 @@ from ullage.ports.intake import (
 )
 from ullage.ports.live import LiveSource
 from ullage.ports.pose_events import Feed, ModelPose, Notice, OtherModels
-from ullage.ports.protocol import Item
-from ullage.ports.rate_limiter import RateLimiter
 from ullage.radar.live import LiveRadars
-from ullage.specs import MOST_BOUNCES, RadarSpec, Rig, Spec
+from ullage.specs import MOST_BOUNCES, Rig
 from ullage.world.scene import Scene
 
 BEHIND_S = 1.0
@@ -368,11 +362,6 @@ def world_and_rig(world: str, options: SensingOptions, *, where: str) -> tuple[S
     return scene.without(model) if model in scene.rigs else scene, rig
 
 
-def radar_of(rig: Rig, name: str) -> RadarSpec:
-    """Return the radar of this name, or the first one; a ray sensor takes its range axis and noise."""
-    return rig.sensors.get(name) or next(iter(rig.sensors.values()))
-
-
 OptionsT = TypeVar("OptionsT", bound=CosimulationOptions)
 
 
@@ -395,48 +384,3 @@ def resolved(options: OptionsT, where: str, world: Scene | None = None) -> tuple
     if not model:
         raise InputError("no model", where=where, allowed=", ".join(f"model={m}" for m in world.rigs) or "model=NAME")
     return options.but(model=model), world.without(model), rig_of(options.rig, world, model, where=where)
-
-
-class SimulatorSinkOptions(Spec):
-    """Options of a sink that gives frames to a simulator."""
-
-    model: str = Field("ullage", min_length=1, description="the model that is said to carry the radars")
-    pace: float = Field(1.0, ge=0, le=1000, description="times real time; 0: as fast as can be")
-    host: str = Field("127.0.0.1", description="address of the interface to use")
-
-
-class PacedSink(Sink):
-    """Give frames at the rate of their own clock, in order of time; ignore everything else.
-
-    Args:
-        pace: times real time; 0: as fast as can be.
-    """
-
-    def __init__(self, pace: float) -> None:
-        self._limiter = RateLimiter(pace)
-
-    def write(self, item: Item) -> None:
-        """Take frames."""
-        parts = [item] if isinstance(item, Frames) else list(item.values()) if isinstance(item, Mapping) else []
-        moments = [(int(part.t_ns[k]), n, k) for n, part in enumerate(parts) for k in range(len(part))]
-        for t_ns, n, k in sorted(moments):
-            self._limiter.wait(t_ns)
-            self.tick(t_ns)
-            self.give(parts[n][k : k + 1])
-
-    def tick(self, t_ns: int) -> None:
-        """Publish the time of the frames before each is given."""
-
-    @abstractmethod
-    def give(self, frames: Frames) -> None:
-        """Hand some frames on."""
-
-
-def nearest(frames: Frames) -> Floats:
-    """Return the range of the first detection of each frame (n) [m]; infinite if there is none."""
-    from ullage.processing.detect import detect
-
-    out = np.full(len(frames), np.inf)
-    found = detect(replace(frames, poses=None, truth=None))
-    np.minimum.at(out, found.frame, found.range_m)
-    return out

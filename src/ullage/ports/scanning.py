@@ -13,7 +13,7 @@ from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.fan import FULL_DEG, reaching_max_range
-from ullage.ports.cosimulation import CosimulationOptions, UnboundedSource, radar_of
+from ullage.ports.cosimulation import CosimulationOptions, UnboundedSource
 from ullage.ports.intake import Counters, Log, Stamped, Stream, checked_pose, echo_range
 from ullage.ports.pose_events import Feed, Notice, Pose, stamp_ns
 from ullage.radar.receiver import receive_thesis
@@ -148,7 +148,8 @@ class ScanSource(UnboundedSource):
         scan, name = stamped.item, stamped.item.sensor
         first = 0 if stamped.starts else self._count[name]
         self._count[name] = first + 1
-        spec = spec_of(scan, radar_of(self._rig, name))
+        radar = self._rig.sensors.get(name) or next(iter(self._rig.sensors.values()))
+        spec = spec_of(scan, radar)
         strength = scan.intensity
         if not strength.any():
             self._log_throttled("every intensity is zero: no laser_retro in this world, so each object reflects as 1")
