@@ -94,22 +94,22 @@ class UnboundedSource(LiveSource):
     Args:
         duration_s: how long to receive, by the clock of the frames [s]; None: until the peer ends.
         log: takes lines for the user; None: they become warnings.
-        topic: name under which its messages are counted.
         lag_s: what is later than this is left out [s]; None: nothing is.
     """
 
-    def __init__(self, duration_s: float | None, log: Log | None, *, topic: str, lag_s: float | None = None) -> None:
+    def __init__(self, duration_s: float | None, log: Log | None, *, lag_s: float | None = None) -> None:
         super().__init__(log=log, lag_s=lag_s)
         self._duration_s = duration_s
-        self._count_with(Counters(), topic)
 
     def _without_end(self) -> str:
         return "duration_s=SECONDS" if self._duration_s is None else ""
 
-    def _count_with(self, counters: Counters, topic: str) -> None:
-        """Count messages with these counters, and track the time of a topic."""
-        self.counters, counters.log = counters, self._log
-        self._clock, self._streams = Clock(counters), list[Stream[Any]]()
+    def _join(self, join: Callable[[], Feed], topic: str) -> None:
+        """Connect to a feed, count with its counters, and track the time of a topic."""
+        self._feed = join()
+        self.counters = getattr(self._feed, "counters", None) or Counters()
+        self.counters.log = self._log
+        self._clock, self._streams = Clock(self.counters), list[Stream[Any]]()
         self._intake = self._new_stream(topic)
 
     def _new_stream(self, topic: str) -> Stream[Any]:
@@ -149,8 +149,7 @@ class CosimulationSource(UnboundedSource):
     def __init__(
         self, join: Callable[[], Feed], scene: Scene, rig: Rig, options: SensingOptions, *, log: Log | None = None
     ) -> None:
-        topic = getattr(options, "model", self.name) or "poses"
-        super().__init__(options.duration_s, log, topic=topic, lag_s=options.lag_s)
+        super().__init__(options.duration_s, log, lag_s=options.lag_s)
         self.scene, self.rig = scene, rig
         self._status = RadarStatus(self.name, late_s=BEHIND_S)
         self._publish = isinstance(options, CosimulationOptions) and options.publish
@@ -168,8 +167,7 @@ class CosimulationSource(UnboundedSource):
         self.trial = self._radars.advance([0, frame_ns], middle, np.tile((0.0, 0.0, 0.0, 1.0), (2, 1)))
         """Frames of before the first pose: making and using them loads and compiles while nobody waits."""
         self._radars.reset()
-        self._feed = join()
-        self._count_with(getattr(self._feed, "counters", None) or Counters(), topic)
+        self._join(join, getattr(options, "model", self.name) or "poses")
 
     @property
     def sensors(self) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from ullage.arrays import Floats
 from ullage.errors import InputError
@@ -36,9 +37,9 @@ REFERENCE_M = 1.0
 class DroneOptions(Spec):
     """Topics of a drone; empty: the defaults of its kind."""
 
-    odom: str = ""
-    cmd_vel: str = ""
-    setpoint: str = ""
+    odom: str = Field("", description="topic of that drone's odometry; none: odom, or /model/NAME/odometry in Gazebo")
+    cmd_vel: str = Field("", description="topic of its velocities; none: cmd_vel, or /model/NAME/cmd_vel in Gazebo")
+    setpoint: str = Field("", description="topic of its set-points; none: command/pose")
 
 
 class Limits(NamedTuple):

@@ -94,7 +94,7 @@ class ImcSource(LiveSource):
 
     def _vehicle(self, start: tuple[float, ...]) -> Vehicle:
         """Open our own multirotor or an external drone."""
-        from ullage.ports.drone import Drone, DroneOptions, Guided, Limits
+        from ullage.ports.drone import Drone, Guided, Limits
         from ullage.ports.imc.helm import Simulated
 
         o = self._options
@@ -108,7 +108,7 @@ class ImcSource(LiveSource):
             raise InputError(f"no drone at {o.fly!r}", where="fly", allowed="a vehicle, ros2:NAMESPACE, gazebo:MODEL")
         if o.takes not in made.takes:
             raise InputError(made.refusal, where=o.fly, allowed=f"takes={made.takes[0]}")
-        drone: Drone = made(address.place, DroneOptions(odom=o.odom, cmd_vel=o.cmd_vel, setpoint=o.setpoint))
+        drone: Drone = made(address.place, o)
         return Guided(drone, o.takes, Limits(level_m_s=o.limit_m_s), log=self._log)
 
     def _take_off(self, vehicle: Vehicle) -> Helm:
