@@ -13,13 +13,13 @@ from ullage.ports import schema as ros
 from ullage.ports.cosimulation import (
     CosimulationOptions,
     CosimulationSource,
-    PacedSink,
-    nearest,
     resolved,
     rig_of,
     world_of,
 )
 from ullage.ports.diagnostics import RadarStatus
+from ullage.ports.gazebo.sink import GazeboSink
+from ullage.ports.gazebo.topics import nearest
 from ullage.ports.intake import Counters
 from ullage.ports.live import options_of
 from ullage.ports.pose_events import ModelPose, Notice
@@ -208,26 +208,25 @@ def test_bad_options_are_refused_in_one_line(values, words):
         resolved(options_of(CosimulationOptions, values, "here"), "here")
 
 
-class Kept(PacedSink):
+class Topics:
+    peer = contextlib.ExitStack()  # can be closed
+
     def __init__(self):
-        super().__init__(0)
         self.kept = []
 
-    def give(self, frames):
+    def write(self, frames):
         self.kept.append((frames.sensor, int(frames.t_ns[0])))
-
-    def close(self):
-        pass
 
 
 def test_a_sink_is_given_frames_in_order_of_time():
     path = ul.Trajectory.stationary(n=3, rate_hz=10)
     both = ul.simulate(WALL, path, RIG, fidelity="thesis")
-    with Kept() as sink:
+    topics = Topics()
+    with GazeboSink(topics, 0) as sink:
         sink.write(both)
         sink.write(WALL)
-    assert [t for _, t in sink.kept] == sorted(2 * [0, 100_000_000, 200_000_000])
-    assert {name for name, _ in sink.kept} == {"front", "left"}
+    assert [t for _, t in topics.kept] == sorted(2 * [0, 100_000_000, 200_000_000])
+    assert {name for name, _ in topics.kept} == {"front", "left"}
 
 
 def status_of(message):

@@ -629,11 +629,7 @@ def test_bad_input_is_refused_in_one_line():
             LikelihoodSpec(**{name: value})
 
 
-def test_a_map_holds_its_surfaces_with_kind_and_extent(tmp_path):
-    import trimesh
-
-    from ullage.ports.ply import write_surfaces
-
+def test_a_map_holds_its_surfaces_with_kind_and_extent():
     frames = flown(curve(), wall(180, 2.6), pillar((0.3, 2.6), 0.0, strength=0.5), pillar((1.8, -2.9), 0.6))
     omap = ul.map_occupancy(frames, GRID, method="likelihood")
     flat = next(one for one in omap.surfaces if one.kind == "plane" and one.on_map)
@@ -643,12 +639,6 @@ def test_a_map_holds_its_surfaces_with_kind_and_extent(tmp_path):
     pole = next(one for one in omap.surfaces if one.kind == "edge")
     assert np.linalg.norm(pole.points - [0.3, 2.6], axis=1).max() < 0.15
     assert any(one.kind == "cylinder" for one in omap.surfaces)
-    write_surfaces(omap, tmp_path / "surfaces.ply")
-    cloud = trimesh.load(tmp_path / "surfaces.ply")
-    shown = np.concatenate([one.points for one in omap.surfaces if one.on_map])
-    assert np.allclose(cloud.vertices[:, :2], shown, atol=1e-4)
-    with pytest.raises(ul.InputError, match="the map holds no surfaces"):
-        write_surfaces(ul.map_occupancy(frames, GRID, method="elfes"), tmp_path / "none.ply")
 
 
 def wall_cells(distance_m, half_m=1.0):

@@ -9,7 +9,6 @@ from test_likelihood import GRID, centres, flown, mapped, wall
 import ullage as ul
 from ullage.data import Trajectory
 from ullage.ports.encode import surfaces_message
-from ullage.ports.ply import write_surfaces
 from ullage.processing.likelihood.lying import cuts, in_plane
 from ullage.processing.likelihood.poses import delays
 from ullage.processing.likelihood.surfaces import transported
@@ -134,12 +133,11 @@ def test_its_wall_stands_where_the_plane_cuts_it_and_nothing_is_free_beyond(insi
     assert omap.free[np.abs(row) < 0.8].mean() > 0.3
 
 
-def test_surfaces_of_lying_tanks_are_written_and_sent(inside, tmp_path):
+def test_surfaces_of_lying_tanks_are_sent(inside):
     omap = inside.map()
     found = next(one for one in omap.surfaces if one.on_map and one.kind == "lying")
     half = np.sqrt(RADIUS_M**2 - HEIGHT_M**2)
     assert np.median(np.abs(np.abs(found.points[:, 1]) - half)) < 0.1
-    write_surfaces(omap, tmp_path / "surfaces.ply")
     assert b"lying" in surfaces_message(omap, 0)
 
 

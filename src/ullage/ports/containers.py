@@ -32,8 +32,13 @@ def load(path: Path, names: Iterable[str], *, most_bytes: int) -> dict[str, NDAr
         MissingExtra: it is HDF5, and h5py is not installed.
     """
     with reading(path):
-        found = _of_hdf5(path, set(names), most_bytes) if _is_hdf5(path) else _of_matlab(path, set(names), most_bytes)
-    return {name: value if _matrix(name) else _row(value) for name, value in found.items()}
+        if _is_hdf5(path):
+            with open_hdf5(path) as file:
+                found = {name: array_in(file, name, most_bytes=most_bytes) for name in names if name in file}
+        else:
+            found = _of_matlab(path, set(names), most_bytes)
+    rows = {name: value.ravel() for name, value in found.items() if value.ndim == 2 and 1 in value.shape}
+    return found | {name: row for name, row in rows.items() if not _matrix(name)}
 
 
 def names_in(path: Path) -> frozenset[str]:
@@ -86,11 +91,6 @@ def _is_hdf5(path: Path) -> bool:
         return file.read(len(NEWER)) == NEWER
 
 
-def _of_hdf5(path: Path, names: set[str], most_bytes: int) -> dict[str, NDArray[Any]]:
-    with open_hdf5(path) as file:
-        return {name: array_in(file, name, most_bytes=most_bytes) for name in names if name in file}
-
-
 def _of_matlab(path: Path, names: set[str], most_bytes: int) -> dict[str, NDArray[Any]]:
     found = {name: array for name, array in MatFile(path).arrays() if name in names}
     size = sum(array.nbytes for array in found.values())
@@ -101,7 +101,3 @@ def _of_matlab(path: Path, names: set[str], most_bytes: int) -> dict[str, NDArra
 
 def _matrix(name: str) -> bool:
     return name.rpartition("_")[0].removeprefix("track_") in MATRICES or name in MATRICES
-
-
-def _row(value: NDArray[Any]) -> NDArray[Any]:
-    return value.ravel() if value.ndim == 2 and 1 in value.shape else value

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,11 +11,9 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import Field
 
-from ullage.arrays import Floats
 from ullage.config import Fidelity
 from ullage.data import Frames
 from ullage.errors import InputError
-from ullage.flow import Sink
 from ullage.ports.diagnostics import RadarStatus
 from ullage.ports.dynamic_scene import DynamicScene
 from ullage.ports.intake import (
@@ -34,10 +30,8 @@ from ullage.ports.intake import (
 )
 from ullage.ports.live import LiveSource
 from ullage.ports.pose_events import Feed, ModelPose, Notice, OtherModels
-from ullage.ports.protocol import Item
-from ullage.ports.rate_limiter import RateLimiter
 from ullage.radar.live import LiveRadars
-from ullage.specs import MOST_BOUNCES, RadarSpec, Rig, Spec
+from ullage.specs import MOST_BOUNCES, Rig
 from ullage.world.scene import Scene
 
 BEHIND_S = 1.0
@@ -100,22 +94,22 @@ class UnboundedSource(LiveSource):
     Args:
         duration_s: how long to receive, by the clock of the frames [s]; None: until the peer ends.
         log: takes lines for the user; None: they become warnings.
-        topic: name under which its messages are counted.
         lag_s: what is later than this is left out [s]; None: nothing is.
     """
 
-    def __init__(self, duration_s: float | None, log: Log | None, *, topic: str, lag_s: float | None = None) -> None:
+    def __init__(self, duration_s: float | None, log: Log | None, *, lag_s: float | None = None) -> None:
         super().__init__(log=log, lag_s=lag_s)
         self._duration_s = duration_s
-        self._count_with(Counters(), topic)
 
     def _without_end(self) -> str:
         return "duration_s=SECONDS" if self._duration_s is None else ""
 
-    def _count_with(self, counters: Counters, topic: str) -> None:
-        """Count messages with these counters, and track the time of a topic."""
-        self.counters, counters.log = counters, self._log
-        self._clock, self._streams = Clock(counters), list[Stream[Any]]()
+    def _join(self, join: Callable[[], Feed], topic: str) -> None:
+        """Connect to a feed, count with its counters, and track the time of a topic."""
+        self._feed = join()
+        self.counters = getattr(self._feed, "counters", None) or Counters()
+        self.counters.log = self._log
+        self._clock, self._streams = Clock(self.counters), list[Stream[Any]]()
         self._intake = self._new_stream(topic)
 
     def _new_stream(self, topic: str) -> Stream[Any]:
@@ -155,8 +149,7 @@ class CosimulationSource(UnboundedSource):
     def __init__(
         self, join: Callable[[], Feed], scene: Scene, rig: Rig, options: SensingOptions, *, log: Log | None = None
     ) -> None:
-        topic = getattr(options, "model", self.name) or "poses"
-        super().__init__(options.duration_s, log, topic=topic, lag_s=options.lag_s)
+        super().__init__(options.duration_s, log, lag_s=options.lag_s)
         self.scene, self.rig = scene, rig
         self._status = RadarStatus(self.name, late_s=BEHIND_S)
         self._publish = isinstance(options, CosimulationOptions) and options.publish
@@ -174,8 +167,7 @@ class CosimulationSource(UnboundedSource):
         self.trial = self._radars.advance([0, frame_ns], middle, np.tile((0.0, 0.0, 0.0, 1.0), (2, 1)))
         """Frames of before the first pose: making and using them loads and compiles while nobody waits."""
         self._radars.reset()
-        self._feed = join()
-        self._count_with(getattr(self._feed, "counters", None) or Counters(), topic)
+        self._join(join, getattr(options, "model", self.name) or "poses")
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -368,11 +360,6 @@ def world_and_rig(world: str, options: SensingOptions, *, where: str) -> tuple[S
     return scene.without(model) if model in scene.rigs else scene, rig
 
 
-def radar_of(rig: Rig, name: str) -> RadarSpec:
-    """Return the radar of this name, or the first one; a ray sensor takes its range axis and noise."""
-    return rig.sensors.get(name) or next(iter(rig.sensors.values()))
-
-
 OptionsT = TypeVar("OptionsT", bound=CosimulationOptions)
 
 
@@ -395,48 +382,3 @@ def resolved(options: OptionsT, where: str, world: Scene | None = None) -> tuple
     if not model:
         raise InputError("no model", where=where, allowed=", ".join(f"model={m}" for m in world.rigs) or "model=NAME")
     return options.but(model=model), world.without(model), rig_of(options.rig, world, model, where=where)
-
-
-class SimulatorSinkOptions(Spec):
-    """Options of a sink that gives frames to a simulator."""
-
-    model: str = Field("ullage", min_length=1, description="the model that is said to carry the radars")
-    pace: float = Field(1.0, ge=0, le=1000, description="times real time; 0: as fast as can be")
-    host: str = Field("127.0.0.1", description="address of the interface to use")
-
-
-class PacedSink(Sink):
-    """Give frames at the rate of their own clock, in order of time; ignore everything else.
-
-    Args:
-        pace: times real time; 0: as fast as can be.
-    """
-
-    def __init__(self, pace: float) -> None:
-        self._limiter = RateLimiter(pace)
-
-    def write(self, item: Item) -> None:
-        """Take frames."""
-        parts = [item] if isinstance(item, Frames) else list(item.values()) if isinstance(item, Mapping) else []
-        moments = [(int(part.t_ns[k]), n, k) for n, part in enumerate(parts) for k in range(len(part))]
-        for t_ns, n, k in sorted(moments):
-            self._limiter.wait(t_ns)
-            self.tick(t_ns)
-            self.give(parts[n][k : k + 1])
-
-    def tick(self, t_ns: int) -> None:
-        """Publish the time of the frames before each is given."""
-
-    @abstractmethod
-    def give(self, frames: Frames) -> None:
-        """Hand some frames on."""
-
-
-def nearest(frames: Frames) -> Floats:
-    """Return the range of the first detection of each frame (n) [m]; infinite if there is none."""
-    from ullage.processing.detect import detect
-
-    out = np.full(len(frames), np.inf)
-    found = detect(replace(frames, poses=None, truth=None))
-    np.minimum.at(out, found.frame, found.range_m)
-    return out

@@ -10,11 +10,13 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from ullage.arrays import Floats
+from ullage.errors import InputError
 from ullage.flight.live import Wish
 from ullage.flight.pilot import HOVER, Velocity
 from ullage.geometry import quat_matrix, quat_rpy
@@ -35,27 +37,9 @@ REFERENCE_M = 1.0
 class DroneOptions(Spec):
     """Topics of a drone; empty: the defaults of its kind."""
 
-    odom: str = ""
-    cmd_vel: str = ""
-    setpoint: str = ""
-
-
-class Drone(Protocol):
-    """External drone on a network."""
-
-    counters: Counters  # of messages that could not be used
-
-    def states(self) -> list[BodyState]:
-        """Return the states since the last call, in order of time."""
-
-    def steer(self, velocity: Velocity) -> None:
-        """Command a velocity in the level frame of the heading."""
-
-    def go_to(self, position: tuple[float, float, float], heading_rad: float) -> None:
-        """Command a set-point in the world of the drone's odometry."""
-
-    def close(self) -> None:
-        """Leave the network."""
+    odom: str = Field("", description="topic of that drone's odometry; none: odom, or /model/NAME/odometry in Gazebo")
+    cmd_vel: str = Field("", description="topic of its velocities; none: cmd_vel, or /model/NAME/cmd_vel in Gazebo")
+    setpoint: str = Field("", description="topic of its set-points; none: command/pose")
 
 
 class Limits(NamedTuple):
@@ -85,8 +69,8 @@ def state_of(t_ns: int, pose: Any, twist: Any) -> BodyState | str:
     return BodyState(t_ns, *placed, quat_matrix(placed[1]) @ linear, angular)
 
 
-class TopicDrone(ABC):
-    """Drone that publishes its odometry; messages that cannot be used are counted.
+class Drone(ABC):
+    """External drone that publishes its odometry; messages that cannot be used are counted.
 
     Args:
         odom: topic of the odometry.
@@ -115,6 +99,22 @@ class TopicDrone(ABC):
                     self._last_ns = found.t_ns
                     out.append(found)
         return out
+
+    @abstractmethod
+    def steer(self, velocity: Velocity) -> None:
+        """Command a velocity in the level frame of the heading."""
+
+    def go_to(self, position: tuple[float, float, float], heading_rad: float) -> None:
+        """Command a set-point in the world of the drone's odometry.
+
+        Raises:
+            InputError: it takes none.
+        """
+        raise InputError(self.refusal, where="takes", allowed=", ".join(self.takes))
+
+    @abstractmethod
+    def close(self) -> None:
+        """Leave the network."""
 
     @abstractmethod
     def _arrived(self) -> Iterator[bytes]:

@@ -149,11 +149,11 @@ def fixed_message(t_ns: int, fixed: Mapping[tuple[str, str], Floats]) -> bytes:
     return ros.encoded(ros.TRANSFORMS, {"transforms": listed})
 
 
-def path_message(path: Trajectory, frame_id: str = WORLD) -> bytes:
+def path_message(path: Trajectory) -> bytes:
     """Encode a Path message."""
     rows = zip(path.t_ns.tolist(), path.position.tolist(), path.quat_xyzw.tolist(), strict=True)
-    poses = [(ros.header(t_ns, frame_id), (tuple(place), tuple(turn))) for t_ns, place, turn in rows]
-    return ros.encoded(ros.PATH, {"poses": poses}, t_ns=int(path.t_ns[-1]), frame_id=frame_id)
+    poses = [(ros.header(t_ns, WORLD), (tuple(place), tuple(turn))) for t_ns, place, turn in rows]
+    return ros.encoded(ros.PATH, {"poses": poses}, t_ns=int(path.t_ns[-1]), frame_id=WORLD)
 
 
 def update_message(t_ns: int, x: int, y: int, cells: NDArray[np.int8]) -> bytes:

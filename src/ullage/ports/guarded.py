@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ullage import checks
-from ullage.data import Frames, Trajectory
+from ullage.data import Frames
 from ullage.errors import InputError
-from ullage.grids import OccupancyMap
 from ullage.ports.protocol import Source
 from ullage.untrusted import reading
 
@@ -30,22 +29,16 @@ class GuardedSource:
         self._source, self._file = source, path
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._source, name)
+        if not hasattr(type(self._source), name):
+            return getattr(self._source, name)  # nothing is read for it, or there is no such thing
+        found = self._call(lambda: getattr(self._source, name))
+        if not callable(found):
+            return found
+        return lambda *args, **options: self._call(lambda: found(*args, **options))
 
     def _call(self, work: Callable[[], Any]) -> Any:
         with reading(self._file, place=lambda: str(getattr(self._source, "place", ""))):
             return work()
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Names of the radars."""
-        found: tuple[str, ...] = self._call(lambda: self._source.sensors)
-        return found
-
-    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Everything of one sensor as Frames, or of several as a dict by name."""
-        found: Frames | dict[str, Frames] = self._call(lambda: self._source.frames(sensor))
-        return found
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """Give the frames in order of time, at most `chunk` of each sensor at once."""
@@ -53,16 +46,6 @@ class GuardedSource:
         pieces = self._call(lambda: iter(self._source.stream(chunk)))
         while (piece := self._call(lambda: next(pieces, None))) is not None:
             yield piece
-
-    def trajectory(self) -> Trajectory | None:
-        """Return the body's path if it is known."""
-        found: Trajectory | None = self._call(self._source.trajectory)
-        return found
-
-    def map(self) -> OccupancyMap | None:
-        """Return the last recorded map, if any."""
-        found: OccupancyMap | None = self._call(self._source.map)
-        return found
 
 
 def only_files(folder: Path, *, below: bool) -> None:

@@ -202,7 +202,7 @@ class Counters:
         """Report what was dropped since the last report: the first time at once, later ones ever more rarely."""
         with self._lock:
             due = [entry for entry, count in self._dropped.items() if not self._too_soon(entry, count)]
-            lines = [self._line(entry) for entry in due]
+            lines = [f"{entry.topic}: dropped {self._counted(entry)}" for entry in due]
         for line in lines:
             self.log(line)
 
@@ -210,9 +210,9 @@ class Counters:
         """One line for each topic that lost messages, for the end of a run; empty where none did."""
         with self._lock:
             topics = sorted({entry.topic for entry in self._dropped})
-            lines = [f"{topic}: {self._of(topic)}{self._share(topic)}" for topic in topics]
+            lines = [f"{topic}: {self._of(topic)}" for topic in topics]
             if self._steps > 1:  # one was reported when it came
-                lines.append(f"the clock stepped {_times(self._steps)}")
+                lines.append(f"the clock stepped {'twice' if self._steps == 2 else f'{self._steps:,} times'}")
         return lines
 
     def values(self) -> list[tuple[str, str]]:
@@ -241,24 +241,15 @@ class Counters:
         state.count, state.next_s = count, now + state.wait_s
         return False
 
-    def _line(self, entry: _Entry) -> str:
-        return f"{entry.topic}: dropped {self._counted(entry)}"
-
     def _counted(self, entry: _Entry) -> str:
         causes = "; ".join(self._causes[entry])
         return f"{self._dropped[entry]:,} {entry.reason}" + (f" ({causes})" if causes else "")
 
     def _of(self, topic: str) -> str:
         entries = (_Entry(topic, reason) for reason in REASONS)
-        return "dropped " + ", ".join(self._counted(entry) for entry in entries if self._dropped[entry])
-
-    def _share(self, topic: str) -> str:
+        dropped = ", ".join(self._counted(entry) for entry in entries if self._dropped[entry])
         received = self._received[topic]
-        return f", of {received:,} received" if received else ""
-
-
-def _times(count: int) -> str:
-    return "twice" if count == 2 else f"{count:,} times"
+        return f"dropped {dropped}" + (f", of {received:,} received" if received else "")
 
 
 ItemT = TypeVar("ItemT")
@@ -294,16 +285,10 @@ class Clock:
 
     Args:
         counters: count what is dropped, and report steps.
-        gap_ns: two stamps of one stream farther apart belong to two tracks [ns].
-        late_ns: a stamp that lies behind by less is late [ns].
-        pause_ns: between the tracks, where the second one's own stamps have come before [ns].
     """
 
-    def __init__(
-        self, counters: Counters, *, gap_ns: int = GAP_NS, late_ns: int = LATE_NS, pause_ns: int = PAUSE_NS
-    ) -> None:
+    def __init__(self, counters: Counters) -> None:
         self.counters = counters
-        self.gap_ns, self.late_ns, self._pause_ns = gap_ns, late_ns, pause_ns
         self._epoch: _Epoch | None = None
         self._last_given_ns: int | None = None  # newest time given on, of all streams
         self._left_out = 0  # messages that found no room or waited too long, up to the last step
@@ -313,18 +298,13 @@ class Clock:
         return Stream(self, topic)
 
     @property
-    def offset_ns(self) -> int:
-        """Offset that is added to the newest stamps [ns]."""
-        return self._epoch.offset_ns if self._epoch is not None else 0
-
-    @property
     def newest_ns(self) -> int:
         """Newest stamp of all streams since the clock last stepped; 0 before the first."""
         return self._epoch.newest_ns if self._epoch is not None else 0
 
     def near(self, stamp_ns: int) -> bool:
         """Whether a stream may begin with this stamp: no other has begun, or the others' stamps are near."""
-        return self._epoch is None or abs(stamp_ns - self._epoch.newest_ns) <= self.gap_ns
+        return self._epoch is None or abs(stamp_ns - self._epoch.newest_ns) <= GAP_NS
 
     def _enter(self, stream: Stream[Any], stamp_ns: int) -> _Epoch:
         """The epoch of a stamp that begins a track of a stream."""
@@ -334,7 +314,7 @@ class Clock:
             return epoch  # only this stream paused, or another one has met the step before
         offset_ns = 0
         if self._last_given_ns is not None and stamp_ns <= self._last_given_ns:
-            offset_ns = self._last_given_ns + self._pause_ns - stamp_ns
+            offset_ns = self._last_given_ns + PAUSE_NS - stamp_ns
         if epoch is not None:
             step_s = (stamp_ns - (epoch.newest_ns if before_ns is None else before_ns)) * 1e-9
             step = f"back {-step_s:.3g} s" if step_s < 0 else f"ahead {step_s:.3g} s"
@@ -395,9 +375,9 @@ class Stream(Generic[ItemT]):
         ahead_ns = stamp_ns - self.last_ns
         if ahead_ns == 0:
             self._counters.drop(self.topic, "duplicate")
-        elif -self._clock.late_ns < ahead_ns < 0:
+        elif -LATE_NS < ahead_ns < 0:
             self._counters.drop(self.topic, "late")
-        elif 0 < ahead_ns <= self._clock.gap_ns:
+        elif 0 < ahead_ns <= GAP_NS:
             return self._go_on(stamp_ns, item)
         else:
             self._waiting = stamp_ns, item
@@ -412,8 +392,8 @@ class Stream(Generic[ItemT]):
         assert self._waiting is not None
         waiting_ns, waiting = self._waiting
         before_ns = self._before_ns()
-        goes_on = 0 < stamp_ns - before_ns <= self._clock.gap_ns
-        nearer = 0 <= stamp_ns - waiting_ns < max(self._clock.gap_ns + 1, abs(stamp_ns - before_ns))
+        goes_on = 0 < stamp_ns - before_ns <= GAP_NS
+        nearer = 0 <= stamp_ns - waiting_ns < max(GAP_NS + 1, abs(stamp_ns - before_ns))
         if nearer and not goes_on:
             self._waiting = None
             return self._begin(waiting_ns, waiting) + self.take(stamp_ns, item)
@@ -428,7 +408,7 @@ class Stream(Generic[ItemT]):
         if self._waiting is None:
             return
         away_ns = self._waiting[0] - self._before_ns()
-        reason: Reason = "late" if -self._clock.gap_ns < away_ns < 0 else "bad"
+        reason: Reason = "late" if -GAP_NS < away_ns < 0 else "bad"
         self._counters.drop(self.topic, reason, f"a single stamp {away_ns * 1e-9:+.6g} s away")
         self._waiting = None
 
@@ -446,7 +426,7 @@ class Stream(Generic[ItemT]):
         self.last_ns = stamp_ns
         if self._last_given_ns is not None and stamp_ns + self.epoch.offset_ns <= self._last_given_ns:
             # another stream began this span of the clock; this one had already gone on beyond that
-            self.epoch = _Epoch(self._last_given_ns + self._clock._pause_ns - stamp_ns, stamp_ns)
+            self.epoch = _Epoch(self._last_given_ns + PAUSE_NS - stamp_ns, stamp_ns)
         self.track += starts
         self._last_given_ns = self._clock._advance(self.epoch, stamp_ns)
         return [Stamped(item, self._last_given_ns, stamp_ns, self.track, starts)]
@@ -464,18 +444,17 @@ class Covered:
         self.total_s = 0.0
         """Time covered so far [s]."""
 
-    def take(self, t_ns: ArrayLike) -> Floats:
-        """Take the next stamps (n) [ns], and give the time covered until each of them (n) [s]."""
+    def take(self, t_ns: ArrayLike) -> None:
+        """Take the next stamps (n) [ns]."""
         times = np.atleast_1d(np.asarray(t_ns, np.int64))
         if not len(times):
-            return np.zeros(0)
+            return
         first = int(times[0]) if self._last_ns < 0 else self._last_ns
         newest = np.maximum(np.maximum.accumulate(times), first)
         steps = np.diff(newest, prepend=first)
-        sums = self._sum_ns + np.cumsum(np.where(steps <= self._gap_ns, steps, 0))
-        self._last_ns, self._sum_ns = int(newest[-1]), int(sums[-1])
+        self._last_ns = int(newest[-1])
+        self._sum_ns += int(steps[steps <= self._gap_ns].sum())
         self.total_s = self._sum_ns * 1e-9
-        return np.asarray(sums * 1e-9, np.float64)
 
 
 def checked_pose(position: ArrayLike, quat_xyzw: ArrayLike) -> tuple[Floats, Floats] | str:

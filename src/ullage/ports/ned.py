@@ -18,5 +18,5 @@ def enu_position(ned_m: ArrayLike) -> Floats:
 
 
 def enu_quat(ned_from_frd_xyzw: ArrayLike) -> Floats:
-    """Quaternion xyzw (4) from FLU to ENU of one from FRD to NED."""
+    """Quaternion xyzw (..., 4) from FLU to ENU of one from FRD to NED."""
     return matrix_quat(SWAP @ quat_matrix(ned_from_frd_xyzw) @ FLIP)

@@ -6,9 +6,10 @@ import re
 import socket
 import threading
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from ullage.errors import InputError, shown
+from ullage.flow import Closing
 
 PLACE = re.compile(r"(\w+)://([^/:\s]+)(?::(\d+))?/?", re.ASCII)
 MOST_PORT = 65535
@@ -110,14 +111,7 @@ def join_group(sock: socket.socket, group: str, interface: str) -> None:
     sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + socket.inet_aton(interface))
 
 
-class Closable(Protocol):
-    """Link that can be closed."""
-
-    def close(self) -> None:
-        """Close the link."""
-
-
-L = TypeVar("L", bound=Closable)
+L = TypeVar("L", bound=Closing)
 
 
 class SharedLinks(Generic[L]):

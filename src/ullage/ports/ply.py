@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from ullage.arrays import Floats
@@ -53,44 +52,10 @@ def write_ply(omap: OccupancyMap, path: str | Path, *, normals: Floats | None = 
     points["occupied"] = omap.percent[omap.occupied]
     origin = [value if math.isfinite(value) else None for value in omap.grid.origin_m]
     about = {"origin_m": origin, "step_m": omap.grid.step_m, "shape": omap.grid.shape, "method": omap.method}
-    _write(path, points, [TAG + json.dumps(about)])
-
-
-def write_surfaces(omap: OccupancyMap, path: str | Path) -> None:
-    """Write the surfaces of a map: each specular point with its normal, and the number and log-odds of its surface.
-
-    Surfaces that are not on the map are left out. A comment names the kind of each surface.
-
-    Args:
-        omap: of `method="likelihood"`.
-        path: of the `.ply` file.
-
-    Raises:
-        InputError: the map holds no surfaces, or the folder cannot be written.
-    """
-    if not omap.surfaces:
-        raise InputError("the map holds no surfaces", where=path, allowed='a map of method="likelihood"')
-    shown = [(number, one) for number, one in enumerate(omap.surfaces) if one.on_map]
-    names = ("x", "y", "z", "nx", "ny", "nz", "log_odds")
-    points = np.zeros(sum(one.seen for _, one in shown), [(name, "<f4") for name in names] + [("surface", "<i4")])
-    points["z"] = np.nan_to_num(omap.grid.origin_m[2])
-    start = 0
-    for number, one in shown:
-        part = points[start : start + one.seen]
-        for first, values in ((0, one.points.T), (3, one.normals.T)):
-            for name, value in zip(names[first:], values, strict=False):
-                part[name] = value
-        part["log_odds"], part["surface"] = one.log_odds, number
-        start += one.seen
-    _write(path, points, [f"comment surface {number} {one.kind}" for number, one in shown])
-
-
-def _write(path: str | Path, points: NDArray[np.void], comments: list[str]) -> None:
-    """Write points as binary PLY; not by trimesh, whose export writes no comment of ours."""
-    kinds = {"<f4": "float", "<i4": "int", "|u1": "uchar"}
-    head = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {len(points)}"]
-    head += [f"property {kinds[points.dtype[name].str]} {name}" for name in points.dtype.names or ()]
-    head += ["end_header", ""]
+    # not by trimesh, whose export writes no comment of ours
+    head = ["ply", "format binary_little_endian 1.0", TAG + json.dumps(about), f"element vertex {len(points)}"]
+    head += [f"property float {name}" for name in names]
+    head += ["property uchar occupied", "end_header", ""]
     write_whole(Path(path), lambda out: out.write("\n".join(head).encode() + points.tobytes()))
 
 

@@ -9,14 +9,14 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 
 from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.geometry import rotations
-from ullage.ports.intake import PATIENCE_S, Counters, Inbox, Place, checked_pose
+from ullage.ports.intake import PATIENCE_S, Counters, Place, checked_pose
 
 Quat = tuple[float, float, float, float]
 Pose = tuple[tuple[float, float, float], Quat]
@@ -133,32 +133,17 @@ class Feed(Protocol):
         """Close the sockets."""
 
 
-Event_co = TypeVar("Event_co", covariant=True)
-
-
-class EventPeer(Protocol[Event_co]):
-    """A peer on the simulator's network that gives events."""
-
-    counters: Counters
-    events: Inbox[Any]
-
-    def wait(self, timeout_s: float) -> Event_co | None:
-        """Return the next event, or None if none came within the timeout."""
-
-    def close(self) -> None:
-        """Close the sockets."""
-
-
-class EventFeed(ABC, Generic[Event_co]):
+class EventFeed(ABC):
     """A feed that reads the events of a peer; one event may give several results or none.
 
     Args:
-        peer: gives the events.
+        peer: a node, link or process on the simulator's network, which `wait`s for events.
         patience_s: after how long a silence that is reported [s].
     """
 
-    def __init__(self, peer: EventPeer[Event_co], *, patience_s: float = PATIENCE_S) -> None:
-        self._source, self.counters = peer, peer.counters
+    def __init__(self, peer: Any, *, patience_s: float = PATIENCE_S) -> None:
+        self._source = peer
+        self.counters: Counters = peer.counters
         self._ready: deque[Any] = deque()
         self._patience_s, self._last_s, self._logged_s = patience_s, time.monotonic(), 0.0
 
@@ -177,7 +162,8 @@ class EventFeed(ABC, Generic[Event_co]):
     @property
     def behind_s(self) -> float:
         """How long the oldest event waits already [s]."""
-        return self._source.events.behind_s
+        waits_s: float = self._source.events.behind_s
+        return waits_s
 
     def close(self) -> None:
         """Close the sockets."""

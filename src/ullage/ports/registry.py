@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from ullage import plugins
 from ullage.errors import InputError, need, shown
@@ -83,7 +83,8 @@ def open(target: str | Path, **options: Any) -> Source:
     with reading(path):
         source = _opened(path, options)
     logging.getLogger("ullage").debug("%s is read by %s", path, type(source).__name__)
-    return source if isinstance(source, WholeSource) else GuardedSource(source, path)
+    guarded: Any = source if isinstance(source, WholeSource) else GuardedSource(source, path)
+    return cast("Source", guarded)
 
 
 def reads(path: Path) -> bool:

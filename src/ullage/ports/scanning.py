@@ -13,8 +13,8 @@ from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.fan import FULL_DEG, reaching_max_range
-from ullage.ports.cosimulation import CosimulationOptions, UnboundedSource, radar_of
-from ullage.ports.intake import Counters, Log, Stamped, Stream, checked_pose, echo_range
+from ullage.ports.cosimulation import CosimulationOptions, UnboundedSource
+from ullage.ports.intake import Log, Stamped, Stream, checked_pose, echo_range
 from ullage.ports.pose_events import Feed, Notice, Pose, stamp_ns
 from ullage.radar.receiver import receive_thesis
 from ullage.radar.receiving import sensor_seed
@@ -109,12 +109,11 @@ class ScanSource(UnboundedSource):
         log: Log | None = None,
     ) -> None:
         self.scene = scene
-        super().__init__(options.duration_s, log, topic=options.rays)
+        super().__init__(options.duration_s, log)
         self._rig, self._options = rig, options
         self._cast: dict[str, Stream[Scan]] = {}  # by sensor
         self._count: dict[str, int] = {}
-        self._feed = join()
-        self._count_with(getattr(self._feed, "counters", None) or Counters(), options.rays)
+        self._join(join, options.rays)
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -148,7 +147,8 @@ class ScanSource(UnboundedSource):
         scan, name = stamped.item, stamped.item.sensor
         first = 0 if stamped.starts else self._count[name]
         self._count[name] = first + 1
-        spec = spec_of(scan, radar_of(self._rig, name))
+        radar = self._rig.sensors.get(name) or next(iter(self._rig.sensors.values()))
+        spec = spec_of(scan, radar)
         strength = scan.intensity
         if not strength.any():
             self._log_throttled("every intensity is zero: no laser_retro in this world, so each object reflects as 1")

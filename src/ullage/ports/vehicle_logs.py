@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike
 from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.errors import InputError, need
-from ullage.geometry import matrix_quat, quat_matrix, rpy_quat
+from ullage.geometry import rpy_quat
 from ullage.ports.geodetic import Geodetic, datum_of
 from ullage.ports.intake import warn
-from ullage.ports.ned import FLIP, SWAP
+from ullage.ports.ned import SWAP, enu_quat
 from ullage.untrusted import reading
 
 Pose = tuple[int, ArrayLike, ArrayLike]
@@ -136,8 +136,7 @@ def read_dataflash(path: Path) -> Trajectory:
 
 def _enu(t_ns: Any, ned: Floats, quat: Floats, path: Path) -> Trajectory:
     """The track (n) of places north, east, down and attitudes from forward-right-down."""
-    turn = matrix_quat(SWAP @ quat_matrix(quat) @ FLIP)
-    return track_of_poses(zip(t_ns, ned @ SWAP.T, turn, strict=True), path)
+    return track_of_poses(zip(t_ns, ned @ SWAP.T, enu_quat(quat), strict=True), path)
 
 
 def read_nmea(path: Path, *, datum: str = "") -> Trajectory:

@@ -7,14 +7,14 @@ from collections.abc import Iterator
 
 from ullage.errors import InputError
 from ullage.flight.pilot import Velocity
-from ullage.ports.drone import DroneOptions, TopicDrone, state_of
+from ullage.ports.drone import Drone, DroneOptions, state_of
 from ullage.ports.gazebo.messages import gz
 from ullage.ports.gazebo.peer import Received, TopicOffered
 from ullage.ports.gazebo.transport import TransportPeer
 from ullage.ports.pose_events import BodyState, stamp_ns
 
 
-class GazeboDrone(TopicDrone):
+class GazeboDrone(Drone):
     """Commands a model by its velocity, as gz-sim's MulticopterVelocityControl takes it.
 
     Args:
@@ -66,14 +66,6 @@ class GazeboDrone(TopicDrone):
         forward, left, up, turn = velocity
         twist = gz().Twist(linear=gz().Vector3d(x=forward, y=left, z=up), angular=gz().Vector3d(z=turn))
         self._peer.publish(self._cmd_vel, twist)
-
-    def go_to(self, position: tuple[float, float, float], heading_rad: float) -> None:
-        """Refuse: Gazebo's multicopters take no set-points.
-
-        Raises:
-            InputError: always.
-        """
-        raise InputError(self.refusal, where=self._cmd_vel, allowed="takes=velocity")
 
     def close(self) -> None:
         """Leave the network."""

@@ -8,12 +8,12 @@ from typing import Any
 
 from ullage.data import Frames
 from ullage.ports.cosimulation import CosimulationOptions
-from ullage.ports.gazebo.peer import Event, Peer
+from ullage.ports.gazebo.peer import Peer
 from ullage.ports.gazebo.topics import RadarTopics
 from ullage.ports.pose_events import EventFeed, ModelPose, Notice, pose_of
 
 
-class Feed(EventFeed[Event]):
+class Feed(EventFeed):
     """Poses of one model and of other models from a Gazebo, or scans of its rays, and notices about the server.
 
     Args:

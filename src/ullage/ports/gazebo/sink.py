@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal
 
 from pydantic import Field
 
 from ullage.data import Frames
-from ullage.ports.cosimulation import PacedSink, SimulatorSinkOptions
+from ullage.flow import Sink
 from ullage.ports.gazebo.classic import ClassicPeer, master_of
 from ullage.ports.gazebo.messages import gz
 from ullage.ports.gazebo.topics import CLASSIC, RadarTopics
 from ullage.ports.gazebo.transport import TransportPeer
 from ullage.ports.live import options_of
+from ullage.ports.protocol import Item
+from ullage.ports.rate_limiter import RateLimiter
+from ullage.specs import Spec
+
+
+class SimulatorSinkOptions(Spec):
+    """Options of a sink that gives frames to a simulator."""
+
+    model: str = Field("ullage", min_length=1, description="the model that is said to carry the radars")
+    pace: float = Field(1.0, ge=0, le=1000, description="times real time; 0: as fast as can be")
+    host: str = Field("127.0.0.1", description="address of the interface to use")
 
 
 class TransportSinkOptions(SimulatorSinkOptions):
@@ -29,8 +41,8 @@ class ClassicSinkOptions(SimulatorSinkOptions):
     gazebo_world: str = Field("default", min_length=1, description="topics are /gazebo/WORLD/MODEL/radar/SENSOR/...")
 
 
-class GazeboSink(PacedSink):
-    """Publish frames at the rate of their own clock.
+class GazeboSink(Sink):
+    """Publish frames at the rate of their own clock, in order of time; ignore everything else.
 
     Args:
         topics: take the frames; their peer is closed with the sink.
@@ -39,19 +51,20 @@ class GazeboSink(PacedSink):
     """
 
     def __init__(self, topics: RadarTopics, pace: float, *, clock: str = "") -> None:
-        super().__init__(pace)
+        self._limiter = RateLimiter(pace)
         self._topics, self._peer, self._clock = topics, topics.peer, clock
         if clock:
             self._peer.advertise(clock, f"{topics.package}.Clock")
 
-    def tick(self, t_ns: int) -> None:
-        """Publish the clock."""
-        if self._clock:
-            self._peer.publish(self._clock, gz().Clock(sim=gz().Time(sec=t_ns // 10**9, nsec=t_ns % 10**9)))
-
-    def give(self, frames: Frames) -> None:
-        """Publish some frames."""
-        self._topics.write(frames)
+    def write(self, item: Item) -> None:
+        """Take frames."""
+        parts = [item] if isinstance(item, Frames) else list(item.values()) if isinstance(item, Mapping) else []
+        moments = [(int(part.t_ns[k]), n, k) for n, part in enumerate(parts) for k in range(len(part))]
+        for t_ns, n, k in sorted(moments):
+            self._limiter.wait(t_ns)
+            if self._clock:
+                self._peer.publish(self._clock, gz().Clock(sim=gz().Time(sec=t_ns // 10**9, nsec=t_ns % 10**9)))
+            self._topics.write(parts[n][k : k + 1])
 
     def close(self) -> None:
         """Leave the network."""

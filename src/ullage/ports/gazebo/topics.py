@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from ullage.arrays import Floats
 from ullage.data import Frames
-from ullage.ports.cosimulation import nearest
 from ullage.ports.gazebo.messages import classic, gz
 from ullage.ports.gazebo.peer import Peer
 
@@ -110,3 +111,13 @@ def _classic(frames: Frames, i: int, stamp: tuple[int, int], range_m: float) -> 
     hit = [message.Vector3d(x=range_m, y=0.0, z=0.0)] if math.isfinite(range_m) else []
     rows = map(row, _values(frames, i))
     return *rows, message.SonarStamped(time=time, sonar=sonar), message.PointCloud(points=hit)
+
+
+def nearest(frames: Frames) -> Floats:
+    """Return the range of the first detection of each frame (n) [m]; infinite if there is none."""
+    from ullage.processing.detect import detect
+
+    out = np.full(len(frames), np.inf)
+    found = detect(replace(frames, poses=None, truth=None))
+    np.minimum.at(out, found.frame, found.range_m)
+    return out

@@ -46,7 +46,6 @@ class Call:
 
     topic: str
     kinds: tuple[str, str]  # of the request and of the answer
-    data: bytes
     answer: queue.SimpleQueue[bytes | None]
     sent: bool = False
 
@@ -100,17 +99,16 @@ class TransportPeer(Peer):
             raise
         self._start()
 
-    def request(self, topic: str, *, kinds: tuple[str, str], data: bytes = b"", timeout_s: float = 3.0) -> bytes | None:
-        """Call a service and return its answer, or None if none comes or the service refuses.
+    def request(self, topic: str, *, kinds: tuple[str, str], timeout_s: float = 3.0) -> bytes | None:
+        """Call a service with an empty request and return its answer, or None if none comes or the service refuses.
 
         Args:
             topic: of the service.
             kinds: type of the request and of the answer.
-            data: the request.
             timeout_s: how long to wait [s].
         """
         answer: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        self._do(self._ask, Call(self._name(topic), kinds, data, answer))
+        self._do(self._ask, Call(self._name(topic), kinds, answer))
         try:
             return answer.get(timeout=timeout_s)
         except queue.Empty:
@@ -270,7 +268,7 @@ class TransportPeer(Peer):
                     self._asking.connect(pub.address)
                     self._servers.add(pub.address)
                 words = [pub.srv_pub.socket_id, call.topic, self._answer_address, self._node, self._node, key]
-                parts = [word.encode() for word in words] + [call.data, *(kind.encode() for kind in call.kinds)]
+                parts = [word.encode() for word in words] + [b"", *(kind.encode() for kind in call.kinds)]
                 self._asking.send_multipart(parts, self._zmq.NOBLOCK)
                 call.sent = True
 

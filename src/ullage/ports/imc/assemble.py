@@ -170,12 +170,12 @@ class FrameAssembler:
     Args:
         track: the vehicle's poses, for profiles.
         log: takes one line for each radar with profiles only; None: the log of the track's counters.
-        labels: names of parts of systems; EntityInfo and EntityList add to them.
     """
 
-    def __init__(self, track: Track, log: Log | None = None, *, labels: dict[Part, str] | None = None) -> None:
-        self._track, self._once, self._labels = track, Once(log or track.counters.log), labels or {}
-        self._counters = track.counters
+    def __init__(self, track: Track, log: Log | None = None) -> None:
+        self._track, self._counters = track, track.counters
+        self._once = Once(log or track.counters.log)
+        self._labels: dict[Part, str] = {}  # by EntityInfo and EntityList
         self._sensors: dict[Part, _Sensor] = {}
         self._clocks: dict[int, Clock] = {}  # clocks of exact frames, by system
 

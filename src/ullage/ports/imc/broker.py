@@ -20,7 +20,7 @@ from ullage.errors import InputError, UllageError
 from ullage.ports import ament
 from ullage.ports import schema as ros
 from ullage.ports.imc.codec import Message, Packet, body, decode, encode
-from ullage.ports.imc.table import Field, Kind, Table, own
+from ullage.ports.imc.table import Field, Kind, own
 
 TYPES = {
     "u8": "uint8", "i8": "int8", "u16": "uint16", "i16": "int16", "u32": "uint32", "i32": "int32", "i64": "int64",
@@ -46,10 +46,9 @@ def ros_name(name: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
-def definition(name: str, *, table: Table | None = None) -> str:
+def definition(name: str) -> str:
     """The ROS message definition of an IMC message: its header, then its fields; what it holds by kind in text form."""
-    kind = (table or own()).named(name)
-    return HEADER + "".join(line for part in kind.fields for line in _lines(part))
+    return HEADER + "".join(line for part in own().named(name).fields for line in _lines(part))
 
 
 def _lines(part: Field) -> Iterator[str]:
@@ -71,30 +70,28 @@ def _constants(part: Field) -> Iterator[str]:
         yield f"{TYPES[part.kind]} {ros_name(part.name).upper()}_{word}={number}\n"
 
 
-def package_files(names: Iterable[str] = (), *, table: Table | None = None) -> dict[str, str]:
+def package_files(names: Iterable[str] = ()) -> dict[str, str]:
     """The files of the ament package `imc_msgs`, by their paths in it.
 
     Args:
-        names: of the messages; those that they hold, `Raw` and `Packed` are added. Empty: every message of the table.
-        table: of messages; None: ullage's own.
+        names: of the messages; those that they hold, `Raw` and `Packed` are added. Empty: every message.
 
     Raises:
         InputError: the table has no message of a name.
     """
-    table = table or own()
-    texts = {f"{PACKAGE}/msg/{name}": definition(name, table=table) for name in _held(names or table.by_name, table)}
+    texts = {f"{PACKAGE}/msg/{name}": definition(name) for name in _held(names or own().by_name)}
     texts |= {ros.RAW: ros.DEFINITIONS[ros.RAW], f"{PACKAGE}/msg/Packed": PACKED}
     return ament.package_files(PACKAGE, texts, about=ABOUT, built_on=BUILT_ON)
 
 
-def _held(names: Iterable[str], table: Table) -> list[str]:
+def _held(names: Iterable[str]) -> list[str]:
     """These messages and those within them, each once."""
     found: dict[str, None] = {}
     waiting = list(names)
     while waiting:
         name = waiting.pop(0)
         if name not in found:
-            waiting += [part.of for part in table.named(name).fields if part.of]
+            waiting += [part.of for part in own().named(name).fields if part.of]
             found[name] = None
     return list(found)
 
@@ -119,41 +116,41 @@ def register(name: str) -> str:
 ros.LEARN[PACKAGE] = register
 
 
-def to_raw(packet: Packet, *, table: Table | None = None) -> dict[str, Any]:
+def to_raw(packet: Packet) -> dict[str, Any]:
     """`imc_msgs/Raw` of a packet, less its ROS header."""
-    data = _bytes(packet, table or own())
+    data = _bytes(packet)
     number = int.from_bytes(data[2:4], "big" if data[0] == 0xFE else "little")
     where = {"src": packet.src, "src_ent": packet.src_ent, "dst": packet.dst, "dst_ent": packet.dst_ent}
     return {"name": packet.name, "id": number, **where, "data": data}
 
 
-def _bytes(packet: Packet, table: Table) -> bytes:
+def _bytes(packet: Packet) -> bytes:
     """The packet in the byte order of the messages of unknown kind that it holds, if any; else little endian."""
     try:
-        return encode(packet, table=table, big=not packet.name and bool(packet["big"]))
+        return encode(packet, big=not packet.name and bool(packet["big"]))
     except InputError:
-        return encode(packet, table=table, big=True)
+        return encode(packet, big=True)
 
 
-def of_raw(message: Mapping[str, Any], *, table: Table | None = None) -> Packet:
+def of_raw(message: Mapping[str, Any]) -> Packet:
     """The packet in an `imc_msgs/Raw`.
 
     Raises:
         Malformed: its data are no packet.
     """
-    return decode(bytes(message["data"]), table=table)
+    return decode(bytes(message["data"]))
 
 
-def to_ros(packet: Packet, *, table: Table | None = None) -> dict[str, Any]:
+def to_ros(packet: Packet) -> dict[str, Any]:
     """The broker's message of a packet."""
     seconds = math.floor(packet.t_s)
     stamp = {"sec": seconds, "nanosec": min(round((packet.t_s - seconds) * 1e9), 999_999_999)}
     head = {"header": {"stamp": stamp, "frame_id": ""}}
     where = {"src": packet.src, "src_ent": packet.src_ent, "dst": packet.dst, "dst_ent": packet.dst_ent}
-    return head | where | _fields_out((table or own()).named(packet.name), packet.message.values, table or own())
+    return head | where | _fields_out(own().named(packet.name), packet.message.values)
 
 
-def _fields_out(kind: Kind, values: Mapping[str, Any], table: Table) -> dict[str, Any]:
+def _fields_out(kind: Kind, values: Mapping[str, Any]) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for part in kind.fields:
         value, name = values[part.name], ros_name(part.name)
@@ -161,46 +158,45 @@ def _fields_out(kind: Kind, values: Mapping[str, Any], table: Table) -> dict[str
             out[name] = value
             continue
         held = [] if value is None else [value] if part.kind == "message" else list(value)
-        out[name] = [_held_out(part, one, table) for one in held]
+        out[name] = [_held_out(part, one) for one in held]
     return out
 
 
-def _held_out(part: Field, one: Message | None, table: Table) -> dict[str, Any]:
+def _held_out(part: Field, one: Message | None) -> dict[str, Any]:
     if one is None:
         return {"id": 65535, "data": b""}
     if not one.name:
         return {"id": one["id"], "data": one["payload"]}
     if part.of == one.name:
-        return _fields_out(table.named(one.name), one.values, table)
-    return {"id": table.named(one.name).id, "data": encode(Packet(one), table=table)[20:-2]}
+        return _fields_out(own().named(one.name), one.values)
+    return {"id": own().named(one.name).id, "data": encode(Packet(one))[20:-2]}
 
 
-def to_imc(name: str, message: Mapping[str, Any], *, table: Table | None = None) -> Packet:
+def to_imc(name: str, message: Mapping[str, Any]) -> Packet:
     """The packet of a broker's message."""
-    table = table or own()
     stamp = message["header"]["stamp"]
     return Packet(
-        _fields_in(table.named(name), message, table), stamp["sec"] + stamp["nanosec"] * 1e-9, message["src"],
+        _fields_in(own().named(name), message), stamp["sec"] + stamp["nanosec"] * 1e-9, message["src"],
         message["src_ent"], message["dst"], message["dst_ent"],
     )  # fmt: skip
 
 
-def _fields_in(kind: Kind, message: Mapping[str, Any], table: Table) -> Message:
+def _fields_in(kind: Kind, message: Mapping[str, Any]) -> Message:
     values: dict[str, Any] = {}
     for part in kind.fields:
         value = message[ros_name(part.name)]
         if part.kind in TYPES:
             values[part.name] = value
             continue
-        held = tuple(_held_in(part, one, table) for one in value)
+        held = tuple(_held_in(part, one) for one in value)
         values[part.name] = (held[0] if held else None) if part.kind == "message" else held
     return Message(kind.name, values)
 
 
-def _held_in(part: Field, one: Mapping[str, Any], table: Table) -> Message | None:
+def _held_in(part: Field, one: Mapping[str, Any]) -> Message | None:
     if part.of and set(one) != {"id", "data"}:
-        return _fields_in(table.named(part.of), one, table)
-    return None if one["id"] == 65535 else body(one["id"], bytes(one["data"]), False, table)
+        return _fields_in(own().named(part.of), one)
+    return None if one["id"] == 65535 else body(one["id"], bytes(one["data"]), False, own())
 
 
 def main(words: list[str] | None = None) -> int:

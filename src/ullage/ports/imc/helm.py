@@ -48,8 +48,8 @@ HOVERS = ("IdleManeuver", "StopManeuver", "Teleoperation")
 MANEUVERS = (*PLACES, *HOVERS, "FollowReference")
 
 
-class Craft(Protocol):
-    """A multirotor that takes requests."""
+class Vehicle(Protocol):
+    """A multirotor that can be flown."""
 
     @property
     def wish(self) -> Wish:
@@ -62,18 +62,24 @@ class Craft(Protocol):
     def ask(self, wish: Wish) -> None:
         """Change the request."""
 
+    def fly(self) -> list[BodyState]:
+        """Fly until now, and return the poses since the last call."""
+
+    def close(self) -> None:
+        """Hover, and release it."""
+
 
 class Commands:
     """Convert commands to requests.
 
     Args:
-        craft: its position and last request complete some commands.
+        vehicle: its position and last request complete some commands.
         origin: geodetic place of the world's origin.
         log: takes a line for a command that is not possible.
     """
 
-    def __init__(self, craft: Craft, origin: Geodetic, log: Log) -> None:
-        self._craft, self._origin, self._log, self._once = craft, origin, log, Once(log)
+    def __init__(self, vehicle: Vehicle, origin: Geodetic, log: Log) -> None:
+        self._vehicle, self._origin, self._log, self._once = vehicle, origin, log, Once(log)
         self._known: dict[str, Callable[[Mapping[str, Any]], Wish | None]] = {
             "DesiredZ": self._height, "DesiredSpeed": self._speed, "DesiredVelocity": self._velocity,
             "DesiredHeading": lambda m: Wish(heading_rad=math.pi / 2 - m["value"]),
@@ -118,7 +124,7 @@ class Commands:
 
     def hover(self) -> Wish:
         """Stay here."""
-        here = self._craft.position
+        here = self._vehicle.position
         return Wish(height_m=None if here is None else float(here[2]), velocity_m_s=(0.0, 0.0), turn_rad_s=0.0)
 
     def _metres_a_second(self, m: Mapping[str, Any], key: str) -> float | None:
@@ -132,7 +138,7 @@ class Commands:
         speed = self._metres_a_second(m, "DesiredSpeed")
         if speed is None:
             return None
-        if self._craft.wish.position_m is not None and speed > 0:
+        if self._vehicle.wish.position_m is not None and speed > 0:
             return Wish(speed_m_s=speed)
         return Wish(velocity_m_s=(speed, 0.0))
 
@@ -158,17 +164,17 @@ class Commands:
 
     def _height(self, m: Mapping[str, Any]) -> Wish | None:
         """Read a height, or the height of the present goal."""
-        up, goal = self._metres_up(m["value"], m["z_units"]), self._craft.wish.position_m
+        up, goal = self._metres_up(m["value"], m["z_units"]), self._vehicle.wish.position_m
         if up is None or goal is None:
             return None if up is None else Wish(height_m=up)
-        return Wish(position_m=(goal[0], goal[1], up), speed_m_s=self._craft.wish.speed_m_s)
+        return Wish(position_m=(goal[0], goal[1], up), speed_m_s=self._vehicle.wish.speed_m_s)
 
     def _point(self, lat: float, lon: float, up: float | None) -> tuple[float, float, float]:
         """A place in the world; without a height, as high as the last one asked for, or as now."""
         there = Geodetic(lat, lon, self._origin.height_m).earth_centred - self._origin.earth_centred
         east, north, _ = (float(v) for v in SWAP @ self._origin.earth_from_ned.T @ there)
         if up is None:
-            wish, here = self._craft.wish, self._craft.position
+            wish, here = self._vehicle.wish, self._vehicle.position
             last = wish.position_m[2] if wish.position_m is not None else wish.height_m
             up = last if last is not None else 0.0 if here is None else float(here[2])
         return east, north, up
@@ -185,13 +191,13 @@ class Commands:
             up = end[2] if level else self._metres_up(m["start_z"], m["start_z_units"])
             start: tuple[float, float, float] | None = self._point(m["start_lat"], m["start_lon"], up)
         else:
-            here = self._craft.position
+            here = self._vehicle.position
             start = None if here is None else (float(here[0]), float(here[1]), float(here[2]))
         return Wish(position_m=end, from_m=start, speed_m_s=self._metres_a_second(m, "speed") or None)
 
     def _reference(self, m: Mapping[str, Any]) -> Wish | None:
         """A Reference: a place, a height and a speed, each where its flag is set."""
-        flags, last = m["flags"], self._craft.wish
+        flags, last = m["flags"], self._vehicle.wish
         z, speed = m["z"] if flags & AT_Z else None, m["speed"] if flags & AT_SPEED else None
         up = None if z is None else self._metres_up(z["value"], z["z_units"])
         most = None if speed is None else self._metres_a_second(speed.values, "DesiredSpeed") or None
@@ -200,16 +206,6 @@ class Commands:
         if up is not None and last.position_m is not None:
             return Wish(position_m=(*last.position_m[:2], up), speed_m_s=most or last.speed_m_s)
         return Wish(height_m=up) if up is not None else Wish(speed_m_s=most) if most else None
-
-
-class Vehicle(Craft, Protocol):
-    """A multirotor that can be flown."""
-
-    def fly(self) -> list[BodyState]:
-        """Fly until now, and return the poses since the last call."""
-
-    def close(self) -> None:
-        """Hover, and release it."""
 
 
 class Simulated(Steered):

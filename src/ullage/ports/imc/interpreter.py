@@ -53,11 +53,6 @@ def _scaled(factor: float) -> Conversion:
     return Conversion(lambda m, a: m[a[0]] * factor, lambda value, a: {a[0]: value / factor})
 
 
-def _point(values: Floats) -> dict[str, float]:
-    x, y, z = (float(v) for v in values)
-    return {"x": x, "y": y, "z": z}
-
-
 def _vector(turn: Floats) -> Conversion:
     """Three fields as a vector in other axes; a fourth argument is a factor."""
 
@@ -65,7 +60,8 @@ def _vector(turn: Floats) -> Conversion:
         return float(args[3]) if len(args) > 3 else 1.0
 
     def out(m: Values, args: tuple[str, ...]) -> Any:
-        return _point(turn @ np.array([m[name] for name in args[:3]], float) * factor(args))
+        turned = turn @ np.array([m[name] for name in args[:3]], float) * factor(args)
+        return dict(zip("xyz", map(float, turned), strict=True))
 
     def back(value: Any, args: tuple[str, ...]) -> dict[str, Any]:
         numbers = turn @ np.array([value[k] for k in "xyz"], float) / factor(args)
@@ -123,53 +119,6 @@ def _constant(word: str) -> Any:
         return word
 
 
-def _variances_out(m: Values, args: tuple[str, ...]) -> list[float]:
-    matrix = np.diag([float(m[name]) ** 2 for name in args])
-    flat: list[float] = matrix.ravel().tolist()
-    return flat
-
-
-def _variances_back(value: Any, args: tuple[str, ...]) -> dict[str, Any]:
-    return {name: math.sqrt(max(float(value[4 * k]), 0.0)) for k, name in enumerate(args)}
-
-
-def _valid_out(m: Values, args: tuple[str, ...]) -> float:
-    return float(m[args[0]]) if m[args[1]] else math.inf
-
-
-def _valid_back(value: Any, args: tuple[str, ...]) -> dict[str, Any]:
-    known = math.isfinite(value)
-    return {args[0]: value if known else 0.0, args[1]: int(known)}
-
-
-def _flag_out(m: Values, args: tuple[str, ...]) -> Any:
-    """`flag BIT FIELD SET CLEAR`: a number for the bit set, and one for the bit clear."""
-    return int(args[2]) if m[args[1]] & int(args[0]) else int(args[3])
-
-
-def _flag_back(value: Any, args: tuple[str, ...]) -> dict[str, Any]:
-    return {args[1]: 0 if value == int(args[3]) else int(args[0])}
-
-
-def _equals_back(value: Any, args: tuple[str, ...]) -> dict[str, Any]:
-    return {args[0]: int(args[1] if value else args[2])}
-
-
-def _level(m: Values, args: tuple[str, ...]) -> int:
-    """`level FIELD NUMBERS`: ERROR of DiagnosticStatus for these numbers; without numbers, for any but 0."""
-    wrong = m[args[0]] in map(int, args[1:]) if len(args) > 1 else bool(m[args[0]])
-    return 2 if wrong else 0
-
-
-def _json_out(m: Values, args: tuple[str, ...]) -> list[dict[str, str]]:
-    return [{"key": name, "value": json.dumps(m[name])} for name in args]
-
-
-def _json_back(value: Any, args: tuple[str, ...]) -> dict[str, Any]:
-    given = {pair["key"]: json.loads(pair["value"]) for pair in value}
-    return {name: given[name] for name in args if name in given}
-
-
 def _numbered(levels: Mapping[int, int]) -> Conversion:
     """A level of a log as `rcl_interfaces/Log` numbers it."""
     named = {level: number for number, level in reversed(list(levels.items()))}
@@ -181,16 +130,6 @@ def _numbered(levels: Mapping[int, int]) -> Conversion:
 
 
 _ENCODINGS = {8: "8UC1", 16: "16UC1", 32: "32SC1"}
-
-
-def _encoding_back(value: Any, args: tuple[str, ...]) -> dict[str, Any]:
-    found = {name: bits for bits, name in _ENCODINGS.items()}
-    return {args[0]: found.get(value, 8)}
-
-
-def _first(m: Values, args: tuple[str, ...]) -> float:
-    """A field of the first message of a list; 0 where the list is empty."""
-    return float(m[args[0]][0][args[1]]) if m[args[0]] and m[args[0]][0] is not None else 0.0
 
 
 CONVERSIONS: dict[str, Conversion] = {
@@ -210,17 +149,37 @@ CONVERSIONS: dict[str, Conversion] = {
     "polar": Conversion(_polar_out, _polar_back),
     "stamp": Conversion(lambda m, a: None, lambda value, a: {a[0]: _seconds(value["stamp"])}),
     "time": Conversion(lambda m, a: _parts_of(m[a[0]]), lambda value, a: {a[0]: _seconds(value)}),
-    "variances": Conversion(_variances_out, _variances_back),
-    "valid": Conversion(_valid_out, _valid_back),
-    "flag": Conversion(_flag_out, _flag_back),
-    "equals": Conversion(lambda m, a: m[a[0]] == int(a[1]), _equals_back),
-    "level": Conversion(_level),
-    "json": Conversion(_json_out, _json_back),
+    "variances": Conversion(
+        lambda m, a: np.diag([float(m[name]) ** 2 for name in a]).ravel().tolist(),
+        lambda value, a: {name: math.sqrt(max(float(value[4 * k]), 0.0)) for k, name in enumerate(a)},
+    ),
+    "valid": Conversion(
+        lambda m, a: float(m[a[0]]) if m[a[1]] else math.inf,
+        lambda value, a: {a[0]: value if math.isfinite(value) else 0.0, a[1]: int(math.isfinite(value))},
+    ),
+    # BIT FIELD SET CLEAR: a number for the bit set, and one for the bit clear
+    "flag": Conversion(
+        lambda m, a: int(a[2] if m[a[1]] & int(a[0]) else a[3]),
+        lambda value, a: {a[1]: 0 if value == int(a[3]) else int(a[0])},
+    ),
+    "equals": Conversion(
+        lambda m, a: m[a[0]] == int(a[1]), lambda value, a: {a[0]: int(a[1] if value else a[2])}
+    ),
+    # FIELD NUMBERS: ERROR of DiagnosticStatus for these numbers; without numbers, for any but 0
+    "level": Conversion(lambda m, a: 2 if (m[a[0]] in map(int, a[1:]) if len(a) > 1 else m[a[0]]) else 0),
+    "json": Conversion(
+        lambda m, a: [{"key": name, "value": json.dumps(m[name])} for name in a],
+        lambda value, a: {pair["key"]: json.loads(pair["value"]) for pair in value if pair["key"] in a},
+    ),
     "log_level": _numbered({0: 20, 1: 30, 2: 40, 3: 50, 4: 10}),
     "log_severity": _numbered({0: 50, 1: 50, 2: 50, 3: 40, 4: 30, 5: 20, 6: 20, 7: 10}),
     "image_width": Conversion(lambda m, a: len(m[a[0]]) // max(m[a[1]] // 8, 1)),
-    "image_encoding": Conversion(lambda m, a: _ENCODINGS.get(m[a[0]], "8UC1"), _encoding_back),
-    "first": Conversion(_first),
+    "image_encoding": Conversion(
+        lambda m, a: _ENCODINGS.get(m[a[0]], "8UC1"),
+        lambda value, a: {a[0]: next((bits for bits, name in _ENCODINGS.items() if name == value), 8)},
+    ),
+    # a field of the first message of a list; 0 where the list is empty
+    "first": Conversion(lambda m, a: float(m[a[0]][0][a[1]]) if m[a[0]] and m[a[0]][0] is not None else 0.0),
     "label": Conversion(lambda m, a: [f"{a[0]}_{m[a[1]]}"]),
     "list": Conversion(lambda m, a: [float(m[a[0]])]),
 }  # fmt: skip

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from typing import Literal
 
+from ullage.flow import Closing
 from ullage.ports.imc.codec import NOBODY, Message, Packet, compile_kernels, encode, make, readable
 from ullage.ports.imc.options import LinkOptions, endpoint
 from ullage.ports.imc.table import Table
@@ -22,7 +23,7 @@ AT_ONCE = 256
 TICK_S = 0.05
 
 
-class Link:
+class Link(Closing):
     """Send and receive messages in the background.
 
     Args:

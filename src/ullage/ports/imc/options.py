@@ -9,6 +9,7 @@ from pydantic import Field, field_validator
 
 from ullage.errors import InputError
 from ullage.ports.cosimulation import SensingOptions
+from ullage.ports.drone import DroneOptions
 from ullage.ports.geodetic import TRONDHEIM, Geodetic, datum_of
 from ullage.ports.imc.table import Table, from_xml, own
 from ullage.ports.live import point_of
@@ -65,7 +66,7 @@ class PlaceOptions(LinkOptions):
         return {a.strip(): b.strip() for a, _, b in pairs}
 
 
-class SourceOptions(PlaceOptions, SensingOptions):
+class SourceOptions(PlaceOptions, SensingOptions, DroneOptions):
     """Options of a source on the bus."""
 
     vehicle: str = Field(
@@ -87,9 +88,6 @@ class SourceOptions(PlaceOptions, SensingOptions):
         "", description="be the vehicle that DUNE's controllers fly: hector, or a drone of others, as ros2:NAMESPACE"
     )
     takes: Literal["velocity", "pose"] = Field("velocity", description="what a drone of others is commanded by")
-    odom: str = Field("", description="topic of that drone's odometry; none: odom, or /model/NAME/odometry in Gazebo")
-    cmd_vel: str = Field("", description="topic of its velocities; none: cmd_vel, or /model/NAME/cmd_vel in Gazebo")
-    setpoint: str = Field("", description="topic of its set-points; none: command/pose")
     limit_m_s: float = Field(1.0, gt=0, le=20, description="greatest speed that it is commanded")
     timeout_s: float = Field(2.5, gt=0, le=60, description="hover when the controller says nothing for so long")
     start: str = Field("0,0,1", description="where it hovers at first: x,y,z [m], and yaw [deg] or not")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ullage.errors import InputError
 from ullage.ports import schema as ros
@@ -73,7 +73,7 @@ def passed(packet: Packet, at_ns: int, *, typed: bool = False) -> Iterator[Passe
         yield Passed(at_ns, f"{FROM_IMC}/{topic}", kind, data)
     if typed and packet.name in own().by_name:
         try:
-            data = encoded(broker.register(packet.name), broker.to_ros(packet) | _head(t_ns, frame_id))
+            data = encoded(broker.register(packet.name), broker.to_ros(packet) | {"header": ros.header(t_ns, frame_id)})
             yield Passed(at_ns, f"{FROM_IMC}/typed/{packet.name}", f"{broker.PACKAGE}/msg/{packet.name}", data)
         except (InputError, *UNREADABLE):
             pass
@@ -86,10 +86,6 @@ def _interpreted(message: Message) -> Ros:
         return interpreted(message) or {}
     except UNREADABLE:
         return {}  # numbers without a meaning; the raw packet has them
-
-
-def _head(t_ns: int, frame_id: str) -> dict[str, Any]:
-    return {"header": {"stamp": {"sec": t_ns // 10**9, "nanosec": t_ns % 10**9}, "frame_id": frame_id}}
 
 
 def _full(kind: str) -> str:

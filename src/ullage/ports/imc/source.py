@@ -56,7 +56,7 @@ class ImcSource(LiveSource):
         self._once, self._begun_s = Once(log), time.monotonic()
         self._limit_s, self._lost = options.lag, 0
         points, start = options.waypoints(), point_of(options.start, "start", where=self.where, yaw=True)
-        self._vehicle_s, self._frames_s = Covered(), Covered()
+        self._flown = Covered()
         if options.world:
             self._build()
         vehicle = self._vehicle(start) if options.fly else None
@@ -84,30 +84,17 @@ class ImcSource(LiveSource):
         return tuple(self._seen)
 
     def _pieces(self, ready: dict[str, Frames], chunk: int) -> Iterator[dict[str, Frames]]:
-        out = self._within(ready)
-        self._seen += [name for name in out if name not in self._seen]
-        return pieces(out, chunk)
-
-    def _within(self, ready: dict[str, Frames]) -> dict[str, Frames]:
-        """Return the frames within the duration; the time between two tracks does not count."""
-        limit = self._options.duration_s
-        if limit is None or not ready:
-            return ready
-        times = np.unique(np.concatenate([frames.t_ns for frames in ready.values()]))
-        covered = self._frames_s.take(times)
-        last = times[covered <= limit + 1e-9]
-        if not len(last):
-            return {}
-        return {name: f[f.t_ns <= last[-1]] for name, f in ready.items() if f.t_ns[0] <= last[-1]}
+        self._seen += [name for name in ready if name not in self._seen]
+        return pieces(ready, chunk)
 
     def _over(self) -> bool:
         """Whether the duration is over, by the clock of the poses."""
         limit = self._options.duration_s
-        return limit is not None and self._vehicle_s.total_s > limit
+        return limit is not None and self._flown.total_s > limit
 
     def _vehicle(self, start: tuple[float, ...]) -> Vehicle:
         """Open our own multirotor or an external drone."""
-        from ullage.ports.drone import Drone, DroneOptions, Guided, Limits
+        from ullage.ports.drone import Drone, Guided, Limits
         from ullage.ports.imc.helm import Simulated
 
         o = self._options
@@ -121,7 +108,7 @@ class ImcSource(LiveSource):
             raise InputError(f"no drone at {o.fly!r}", where="fly", allowed="a vehicle, ros2:NAMESPACE, gazebo:MODEL")
         if o.takes not in made.takes:
             raise InputError(made.refusal, where=o.fly, allowed=f"takes={made.takes[0]}")
-        drone: Drone = made(address.place, DroneOptions(odom=o.odom, cmd_vel=o.cmd_vel, setpoint=o.setpoint))
+        drone: Drone = made(address.place, o)
         return Guided(drone, o.takes, Limits(level_m_s=o.limit_m_s), log=self._log)
 
     def _take_off(self, vehicle: Vehicle) -> Helm:
@@ -175,7 +162,7 @@ class ImcSource(LiveSource):
         if self._flight is not None:
             flown = self._flight.poses(0.25)
             self._track.poses.extend(flown)
-            self._vehicle_s.take([pose.t_ns for pose in flown])
+            self._flown.take([pose.t_ns for pose in flown])
             return [flown], bool(flown)
         tracks: list[list[BodyState]] = [[]]
         received = False
@@ -185,7 +172,7 @@ class ImcSource(LiveSource):
                 if found.starts and found.track:
                     tracks.append([])
                 tracks[-1].append(found.item)
-                self._vehicle_s.take(found.t_ns)
+                self._flown.take(found.t_ns)
             self._pass_on(packet)
             poses = tracks[-1]
             if self._radars is not None and poses and (poses[-1].t_ns - poses[0].t_ns) * 1e-9 >= PIECE_S:

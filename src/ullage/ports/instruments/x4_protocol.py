@@ -43,9 +43,9 @@ def pack(body: bytes) -> bytes:
     return bytes(out)
 
 
-def pack_data(samples: NDArray[np.float32], counter: int, content: int = 0) -> bytes:
+def pack_data(samples: NDArray[np.float32], counter: int) -> bytes:
     """Return samples (n) as a packet of data without escapes."""
-    body = ARRAY.pack(DATA, FLOATS, content, counter, len(samples)) + samples.astype("<f4").tobytes()
+    body = ARRAY.pack(DATA, FLOATS, 0, counter, len(samples)) + samples.astype("<f4").tobytes()
     return MARK + struct.pack("<IB", len(body), 0) + body
 
 

@@ -12,9 +12,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ullage.errors import InputError
+from ullage.flow import Closing
 from ullage.ports.intake import Counters, Inbox, Log, Once
 from ullage.ports.mavlink.options import LinkOptions, place_of
-from ullage.ports.mavlink.wire import Decoder, Sender, Wire, mavlink, open_wire
+from ullage.ports.mavlink.wire import Decoder, Sender, StreamWire, UdpWire, mavlink, open_wire
 from ullage.ports.network import Place, SharedLinks
 
 Role = Literal["source", "sink"]
@@ -144,7 +145,7 @@ class Autopilot:
     there: bool = True
 
 
-class Link:
+class Link(Closing):
     """Speaks with one autopilot, from a thread of its own.
 
     Messages of other systems and components are ignored and counted. `wait` gives the messages that hold poses.
@@ -155,7 +156,7 @@ class Link:
         log: takes lines for the user.
     """
 
-    def __init__(self, wire: Wire, options: LinkOptions, log: Log) -> None:
+    def __init__(self, wire: UdpWire | StreamWire, options: LinkOptions, log: Log) -> None:
         self.dialect, self.options, self.name = mavlink(), options, wire.name
         self.counters = Counters(log)
         self.clock = ClockOffset(self.counters)

@@ -120,16 +120,18 @@ class MavlinkSink(Sink):
     def _queue_up(self, found: Iterable[ObstacleSectors]) -> None:
         """Hand over at most `obstacle_hz` a second; waits while the thread is far behind."""
         for sectors in found:
-            if not self._due.reached(sectors.t_ns):
+            if self._due.reached(sectors.t_ns):
+                self._put(sectors)
+                if self._error is not None:
+                    raise self._error
+
+    def _put(self, item: ObstacleSectors | None) -> None:
+        """Hand over one item, or the end, unless the thread has failed."""
+        while self._error is None:
+            try:
+                return self._queue.put(item, timeout=0.1)
+            except queue.Full:
                 continue
-            while self._error is None:
-                try:
-                    self._queue.put(sectors, timeout=0.1)
-                    break
-                except queue.Full:
-                    continue
-            if self._error is not None:
-                raise self._error
 
     def _run(self) -> None:
         try:
@@ -204,12 +206,7 @@ class MavlinkSink(Sink):
         self._thread = None
         try:
             self._begin()
-            while thread.is_alive() and self._error is None:
-                try:
-                    self._queue.put(None, timeout=0.1)
-                    break
-                except queue.Full:
-                    continue
+            self._put(None)
             thread.join()
             if self._brake is not None and self._live and self._newest is not None:
                 self._brake.judge(self._newest, math.inf)  # no more distances come

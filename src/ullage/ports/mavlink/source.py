@@ -147,7 +147,7 @@ def staggered(radar: RadarSpec) -> RadarSpec:
     return radar.but(stagger_div=longer if longer <= MOST_DIV else radar.prf_div - radar.prf_div // 16)
 
 
-class PoseFeed(EventFeed[PoseMessage]):
+class PoseFeed(EventFeed):
     """Poses of the autopilot's vehicle, at times of this machine's clock where TIMESYNC is answered.
 
     Args:

@@ -9,7 +9,7 @@ import socket
 import time
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from ullage.errors import InputError, need
 from ullage.ports.intake import Counters, Log
@@ -82,24 +82,7 @@ class Decoder:
         self._counters.drop(self._topic, "bad", cause)
 
 
-class Wire(Protocol):
-    """A connection that carries bytes."""
-
-    @property
-    def name(self) -> str:
-        """The place, for messages."""
-
-    def send(self, data: bytes) -> None:
-        """Send one packet; it is lost where nobody takes it."""
-
-    def receive(self, timeout_s: float) -> list[tuple[Sender, bytes]]:
-        """What has come, with its sender; waits at most so long for it."""
-
-    def close(self) -> None:
-        """Let go of socket or device."""
-
-
-def open_wire(place: Place, options: LinkOptions, log: Log) -> Wire:
+def open_wire(place: Place, options: LinkOptions, log: Log) -> UdpWire | StreamWire:
     """The connection to a place.
 
     Raises:

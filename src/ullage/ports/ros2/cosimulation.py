@@ -22,7 +22,7 @@ from ullage.ports.ros2.transforms import Transforms
 from ullage.world.scene import Scene
 
 
-class PoseFeed(EventFeed[Received]):
+class PoseFeed(EventFeed):
     """Feed of a vehicle's poses from a topic, with frames published back.
 
     Args:

@@ -9,14 +9,14 @@ from ullage.flight.pilot import Velocity
 from ullage.geometry import rpy_quat
 from ullage.ports import schema as ros
 from ullage.ports.conversions import stamp_ns
-from ullage.ports.drone import DroneOptions, TopicDrone, state_of
+from ullage.ports.drone import Drone, DroneOptions, state_of
 from ullage.ports.pose_events import BodyState
 from ullage.ports.publisher import Message
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions
 
 
-class RosDrone(TopicDrone):
+class RosDrone(Drone):
     """External drone that is commanded by topics under its namespace.
 
     Args:

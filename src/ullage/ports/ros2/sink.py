@@ -15,7 +15,7 @@ from ullage.ports.diagnostics import TOPIC, Status
 from ullage.ports.intake import warn
 from ullage.ports.protocol import Item
 from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_present, on
-from ullage.ports.rate_limiter import LATE_S, RateLimiter, StampOrder
+from ullage.ports.rate_limiter import LATE_S, STEP_BACK_S, RateLimiter
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import SinkOptions
 from ullage.ports.ros2.sharing import CLOCK
@@ -27,6 +27,60 @@ SETTLE_S = 0.5
 """Between finding a subscriber and its having found every topic [s]."""
 STEP_S = 0.02
 """Longest sleep [s], so that closing does not wait."""
+
+
+class StampOrder:
+    """Hold messages until no older one can come, and release them in the order of their stamps.
+
+    A source gives frames in pieces. Results of a piece, such as detections, come after it. So when the next piece
+    begins, everything older than its first stamp is complete. The first messages are released once the complete ones
+    span as much time as the longest piece. A source that needs time for its pieces then does not stall listeners.
+    """
+
+    def __init__(self) -> None:
+        self._held: list[Message] = []
+        self._ready: list[Message] = []  # complete, while the flow has not begun
+        self._flows = False
+        self._newest_ns: int | None = None
+        self._longest_ns = 0
+
+    @property
+    def longest_s(self) -> float:
+        """Span of the longest piece so far [s]."""
+        return self._longest_ns * 1e-9
+
+    def begin_piece(self, first_ns: int, last_ns: int) -> list[Message]:
+        """Return the messages that are complete when a piece of frames begins.
+
+        Args:
+            first_ns: the oldest stamp of the piece [ns].
+            last_ns: the newest [ns].
+        """
+        back = self._newest_ns is not None and first_ns < self._newest_ns - STEP_BACK_S * 1e9
+        done = self._held if back else [message for message in self._held if message.t_ns < first_ns]
+        self._held = [] if back else [message for message in self._held if message.t_ns >= first_ns]
+        self._ready += sorted(done, key=in_order)
+        self._longest_ns = max(self._longest_ns, last_ns - first_ns)
+        self._newest_ns = last_ns
+        span = self._ready[-1].t_ns - self._ready[0].t_ns if self._ready else 0
+        self._flows = self._flows or (bool(self._ready) and span >= self._longest_ns)
+        return self._release()
+
+    def hold(self, messages: list[Message]) -> None:
+        """Add the messages of a piece or of its results."""
+        self._held += messages
+
+    def finish(self) -> list[Message]:
+        """Return the remaining messages."""
+        self._ready += sorted(self._held, key=in_order)
+        self._held, self._flows = [], True
+        return self._release()
+
+    def _release(self) -> list[Message]:
+        if not self._flows:
+            return []
+        out, self._ready = self._ready, []
+        return out
 
 
 class Ros2Sink(Sink):
@@ -57,7 +111,7 @@ class Ros2Sink(Sink):
         self._publisher = Publisher(
             map_full_s=options.map_full_s, frame_prefix=options.frame_prefix, clock=clock, rays=options.rays
         )
-        self._order: StampOrder[Message] = StampOrder(in_order)
+        self._order = StampOrder()
         self._limiter = RateLimiter(options.pace)
         self._at_once: bool | None = None if options.pace else True  # None: the first frames decide
         self._messages: queue.Queue[Message | None] = queue.Queue()
