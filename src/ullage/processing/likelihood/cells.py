@@ -46,6 +46,7 @@ FAINT, FAINT_PERCENT = 0.05, 95.0  # an echo so far below the strongest ones may
 SHOWN = 0.1  # evidence of a cell that ends a tube: what is hardly seen may be solid all the same
 SEEN_SHARE = 0.34  # of a surface's echoes that must not be hidden
 SURE_M = 0.4  # an echo excludes a possible extension of a surface only from so far behind it
+SIGMAS = 2.0  # by which the slope of a surface may be off
 ROUNDS = 3  # of hiding: what hides may be hidden itself
 
 
@@ -99,6 +100,8 @@ def render(
         near = _extensions(plane, views, alive, spec.extension_m)
         ends = evidence.copy()
         draw_surfaces(plane, views, doubtful, ends, level)
+        nearest, reached = _nearest(views, owner, surfaces, spec.extension_m)
+        ends += _standing(plane, nearest, slopes & ~cut[1] & reached, (views, alive, widening), spec)
         width = np.where(alive | slopes, spec.tube * clearance, 0.0)
         tubes = Tubes(width, doubt, wavelength_m, spec.margin_m, SURE_M)
         free = _passed(plane, paths, tubes, ends, near) & (quiet[0] >= 0)
@@ -127,6 +130,38 @@ def free_percent(nats: Floats, spec: LikelihoodSpec) -> NDArray[np.int8]:
     """
     odds = spec.free_odds * np.exp(-np.maximum(nats, 0.0) / spec.free_nats)
     return np.maximum(np.rint(100 * odds / (1 + odds)), 1).astype(np.int8)
+
+
+def _nearest(views: Views, owner: Longs, surfaces: list[Surface], extension_m: float) -> tuple[Views, Bools]:
+    """Views with each surface where it would cut the plane if it went on straight, and which may go on so far (k).
+
+    A lying cylinder of open bend always may, since its arc to the plane is not known.
+    """
+    sigma = np.sqrt([one.covariance[3, 3] for one in surfaces])[owner]
+    open_ = np.array([one.lying for one in surfaces])[owner]
+    state, range_m = views.state.copy(), views.state[:, 0]
+    state[:, 0] /= np.minimum(state[:, 3] + SIGMAS * sigma, 1.0)
+    return views._replace(state=state), open_ | (state[:, 0] ** 2 - range_m**2 <= extension_m**2)
+
+
+def _standing(
+    plane: Plane, views: Views, unplaced: Bools, others: tuple[Views, Bools, float], spec: LikelihoodSpec
+) -> Floats:
+    """Evidence (cells) of surfaces whose place in the plane is open, where stronger echoes do not come through them.
+
+    Args:
+        plane: the cells.
+        views: of the surfaces, where they may stand.
+        unplaced: (k) which are open.
+        others: views of the surfaces on the map, which of them count, and the half width of their paths as of
+            `find_crossed`.
+        spec: parameters.
+    """
+    evidence, level, crossed = np.zeros((3, plane.rows * plane.columns))
+    draw_surfaces(plane, views, unplaced, evidence, level)
+    through, alive, widening = others
+    find_crossed(plane, through, evidence, level, SHOWN, alive, widening, crossed)
+    return np.where(occupied_percent(evidence, crossed, spec.plane_odds, spec) > 0, evidence, 0.0)
 
 
 def _passed(plane: Plane, views: Views, tubes: Tubes, evidence: Floats, extensions: Floats) -> Bools:

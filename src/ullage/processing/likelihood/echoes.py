@@ -323,9 +323,11 @@ class EchoFinder:
         ahead = np.array([math.cos(bearing), math.sin(bearing), 0.0])
         unit = cosine * ahead
         gains = gains_of(aperture, unit)
-        active = (gains > LEAST_GAIN * gains.max())[aperture.sensor]
+        gain = (gains / gains.max())[aperture.sensor]
+        active = gain > LEAST_GAIN
         along = aperture.offset[active] @ ahead * key.bin_m
         across = aperture.offset[active] @ [-ahead[1], ahead[0], 0.0] * key.bin_m
+        sigma = range_sigma(key, unit, coherence, self._spec) / gain[active]  # the noise of all sensors is alike
         if lying:
             curvature *= float(lying_share(cosine, float(track_of(aperture) @ ahead)))
         loudest = int(np.argmax(gains))
@@ -335,22 +337,22 @@ class EchoFinder:
         nats = active.sum() * -math.log(1 - coherence)
         return (
             state,
-            self._covariance(along, cosine * across, range_sigma(key, unit, coherence, self._spec)),
+            self._covariance(along, cosine * across, sigma),
             coherence,
             mean / gains[loudest] * range_m,
             nats,
         )
 
-    def _covariance(self, along: Floats, across: Floats, sigma: float) -> Floats:
+    def _covariance(self, along: Floats, across: Floats, sigma: Floats) -> Floats:
         """Covariance (4, 4) of range, bearing, curvature and cosine, by least squares on the ranges of the rows.
 
         Args:
             along: level offsets of the rows along the direction [m].
             across: offsets across it, times the cosine [m].
-            sigma: standard deviation of one range [m].
+            sigma: standard deviations of the ranges of the rows [m].
         """
         spec = self._spec
-        design = np.stack([np.ones_like(across), -across, 0.5 * across**2, -along], axis=1) / sigma
+        design = np.stack([np.ones_like(across), -across, 0.5 * across**2, -along], axis=1) / sigma[:, None]
         prior = np.diag([0.0, BEARING_PRIOR_RAD**-2, CURVATURE_PRIOR**-2, COSINE_PRIOR**-2])
         inverse = np.linalg.inv(design.T @ design + prior)
         bearing = math.radians(spec.bearing_sigma_deg)
