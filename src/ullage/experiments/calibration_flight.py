@@ -182,7 +182,6 @@ def offset_rows(found: Calibration) -> list[tuple[str, str, str]]:
         ("scale of the track, not applied", f"{found.scale:.3f}", scale),
     ]
     for one, (value, sigma, assumed) in zip(quantities(RadarSpec()), found.estimates, strict=False):
-        shown = f"{sigma * one.factor:.2g} {one.unit}"
-        known = shown if sigma < assumed * TOLD_APART else f"{shown}: not told apart, about as assumed"
+        known = f"{sigma * one.factor:.2g} {one.unit}" if sigma < assumed * TOLD_APART else "not told apart"
         rows.append((f"joint: {one.name}", f"{value * one.factor:+.4g} {one.unit}", known))
     return rows
