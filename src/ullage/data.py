@@ -304,9 +304,11 @@ class Calibration:
     scale: float = 1.0  # how many times as large as given the echoes take the track to be; it was not applied
     scale_sigma: float = 0.0  # one sigma; 0: not estimated
     message: str = ""  # what is suspected of the track, and what the echoes cannot tell
+    estimates: tuple[tuple[float, ...], ...] = ()  # of `CalibrationPlan`'s nine: value, sigma, sigma of the prior [SI]
+    covariance: tuple[tuple[float, ...], ...] = ()  # (9, 9) of them; mount, rate and scale were not applied
 
     def __post_init__(self) -> None:
-        for name in ("modes", "clock_posterior"):  # JSON gives lists
+        for name in ("modes", "clock_posterior", "estimates", "covariance"):  # JSON gives lists
             object.__setattr__(self, name, tuple(tuple(row) for row in getattr(self, name)))
 
 

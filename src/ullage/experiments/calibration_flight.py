@@ -16,11 +16,12 @@ from ullage.ports.registry import open as open_source
 from ullage.ports.survey import read_survey
 from ullage.ports.tracked import TRACK_FILES, read_radar_track
 from ullage.processing.calibrate import calibrate
-from ullage.processing.calibration_plan import CalibrationPlan, plan_calibration
+from ullage.processing.calibration_plan import CalibrationPlan, plan_calibration, quantities
 from ullage.specs import RadarSpec
 
 REST_NS = 2_000_000_000
 REFLECTORS = ((3.0, -1.5, 1.2), (3.0, 1.5, 1.8), (-3.5, 0.0, 1.5), (0.0, 4.5, 1.2))
+TOLD_APART = 0.71  # of a prior sigma: above it echoes say less than was known
 BESIDE_M = 2.0
 """Distance of assumed reflectors from the box around a track."""
 
@@ -173,10 +174,14 @@ def found_in(source: str, reflectors: Path | None) -> dict[str, Calibration]:
 
 
 def offset_rows(found: Calibration) -> list[tuple[str, str, str]]:
-    """Rows of a table: each estimate with its sigma."""
+    """Rows of a table: each estimate with its sigma, and which ones the echoes leave as they were assumed."""
     scale = f"{found.scale_sigma:.3f}" if found.scale_sigma else "not estimated"
-    return [
+    rows = [
         ("clock, pose clock less radar clock", f"{found.t_offset_s:+.4f} s", f"{found.t_sigma_s:.4f} s"),
         ("range, added to the range axis", f"{found.range_offset_m:+.3f} m", f"{found.range_sigma_m:.3f} m"),
         ("scale of the track, not applied", f"{found.scale:.3f}", scale),
     ]
+    for one, (value, sigma, assumed) in zip(quantities(RadarSpec()), found.estimates, strict=False):
+        known = f"{sigma * one.factor:.2g} {one.unit}" if sigma < assumed * TOLD_APART else "not told apart"
+        rows.append((f"joint: {one.name}", f"{value * one.factor:+.4g} {one.unit}", known))
+    return rows

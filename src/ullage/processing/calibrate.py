@@ -1,4 +1,4 @@
-"""Clock and range offsets between a radar and a track, from one likelihood over all frames."""
+"""Clock and range offsets between a radar and a track, with its mount, from one likelihood over all frames."""
 
 from __future__ import annotations
 
@@ -15,11 +15,22 @@ from ullage.data import Calibration, Frames, Trajectory, one_sensor
 from ullage.errors import CalibrationError, InputError, UllageWarning
 from ullage.geometry import quat_matrix
 from ullage.processing.baseband import checked
-from ullage.processing.bundle import CLOCK, PARAMETERS, RANGE, RATE, Bundle, adjusted
+from ullage.processing.bundle import Bundle, adjusted, held
 from ullage.processing.motion_match import Gains, MotionMatch
-from ullage.processing.point_focus import Point, PointFocus, Start
+from ullage.processing.point_focus import (
+    ARM,
+    BORESIGHT,
+    CLOCK,
+    PARAMETERS,
+    RANGE,
+    RATE,
+    SCALE,
+    Point,
+    PointFocus,
+    Start,
+)
 from ullage.processing.track_check import DECISIVE, LEAST_PROBABILITY, track_axes, track_scale
-from ullage.specs import RadarSpec
+from ullage.specs import MountSpec, RadarSpec
 
 Progress = Callable[[float], None]
 Guess = Sequence[float] | Calibration
@@ -29,10 +40,12 @@ COARSE_S, FINE_S, MODE_S = 0.1, 0.02, 0.15  # steps of the clock search, and hal
 LEAST_OVERLAP = 0.2  # of the shorter of track and recording
 DISPERSION = 20.0  # of the motion likelihood, until it has been estimated
 POINT_DISPERSION = 5.0  # of the points' likelihood: side lobes and noise of neighbouring positions depend on each other
-LEVER_ARM_SIGMA_M = 0.05
-RATE_SIGMA = 5e-5  # of the radar's clock rate
+LEVER_ARM_SIGMA_M, ANGLE_SIGMA_DEG = 0.05, 90.0  # of an antenna whose mount was not set
+LEAST_LEVER_SIGMA_M, LEAST_ANGLE_DEG = 1e-5, 0.01
+RATE_SIGMA, SCALE_SIGMA = 5e-5, 1e-3  # of the radar's clock rate, and of the metre of motion capture
 SURVEY_S = 0.15  # search for surveyed places around the clock offset from motion [s]
 LEAST_PER_SAMPLE = 1.2  # the same per independent sample, on tracks so long that chance finds more
+LOCAL_M = 0.5  # half the part of the track from which scatterers are fitted first
 CLOCK_HALF_S, RANGE_STEP_M, REDRAWN_M = 0.08, 0.06, 0.2
 TAIL, TAIL_M = 1e-5, 0.5  # share and width of the range prior's tail: cables get exchanged
 MOST_SPEED_M_S = 50.0
@@ -47,7 +60,7 @@ def calibrate(
     t_span_s: float | None = ...,
     range_span_m: float = ...,
     reflectors: ArrayLike | None = ...,
-    lever_arm_sigma_m: float = ...,
+    lever_arm_sigma_m: float | None = ...,
     progress: Progress | None = ...,
 ) -> Frames: ...
 @overload
@@ -58,7 +71,7 @@ def calibrate(
     t_span_s: float | None = ...,
     range_span_m: float = ...,
     reflectors: ArrayLike | None = ...,
-    lever_arm_sigma_m: float = ...,
+    lever_arm_sigma_m: float | None = ...,
     progress: Progress | None = ...,
 ) -> dict[str, Frames]: ...
 
@@ -70,7 +83,7 @@ def calibrate(
     t_span_s: float | None = None,
     range_span_m: float = 1.0,
     reflectors: ArrayLike | None = None,
-    lever_arm_sigma_m: float = LEVER_ARM_SIGMA_M,
+    lever_arm_sigma_m: float | None = None,
     progress: Progress | None = None,
 ) -> Frames | dict[str, Frames]:
     """Put frames on the track's clock and correct their range axis; refuse where the recording does not decide.
@@ -78,9 +91,11 @@ def calibrate(
     The clock is found first: with the right one, the track predicts how echoes change from frame to frame. The
     likelihood of that prediction is evaluated at every offset for which track and recording overlap, over the same
     frames (`MotionMatch`). Then the strongest scatterers settle clock and range together (`PointFocus`). The radar's
-    own range zero (`RadarSpec.range_zero_m`) and `guess` are priors. Scene, antenna and mounting may be unknown.
+    own range zero (`RadarSpec.range_zero_m`), its mount and `guess` are priors. Scene, antenna and mounting may
+    be unknown.
 
-    `frames.calibration` of the result holds offsets, standard deviations, probability and the other candidates.
+    `frames.calibration` of the result holds offsets, standard deviations, probability and the other candidates, and
+    `estimates` of nine quantities with their covariance. Clock and range offsets alone are applied.
 
     Args:
         frames: one radar's frames, or several by name (each is calibrated for itself), with `track` or `poses`.
@@ -88,7 +103,8 @@ def calibrate(
         t_span_s: search clock offsets of at most this, of either sign [s]; None: all at which track and frames overlap.
         range_span_m: search range offsets of at most this, positive or negative [m].
         reflectors: (r, 3) surveyed places of reflectors, world [m]; these alone then settle clock and range.
-        lever_arm_sigma_m: how far the antenna may be from the tracked point, one sigma of each axis [m].
+        lever_arm_sigma_m: how far the antenna may be from where the mount puts it, one sigma of each axis [m]; None:
+            as the mount says, and 0.05 m where it sets no place.
         progress: called with the share of the work done.
 
     Raises:
@@ -112,9 +128,16 @@ def calibrate(
     frames = one_sensor(frames, "calibrate")
     track = frames.track if frames.track is not None else frames.believed
     _check_track(track, frames.sensor)
+    mount = frames.spec.mount
+    if lever_arm_sigma_m is None:
+        placed = (mount.position_m, mount.position_sigma_m) != (MountSpec().position_m, MountSpec().position_sigma_m)
+        lever_arm_sigma_m = mount.position_sigma_m if placed else LEVER_ARM_SIGMA_M
     if not 0 <= lever_arm_sigma_m < np.inf:
         raise InputError(f"lever_arm_sigma_m is {lever_arm_sigma_m}", where="calibrate", allowed="metres, 0 or more")
-    prior = replace(_Prior.of(guess, frames, range_span_m), lever_sigma_m=lever_arm_sigma_m)
+    angle_deg = ANGLE_SIGMA_DEG if mount == MountSpec() else max(mount.angle_sigma_deg, LEAST_ANGLE_DEG)
+    prior = replace(
+        _Prior.of(guess, frames, range_span_m), lever_sigma_m=lever_arm_sigma_m, angle_sigma_rad=np.radians(angle_deg)
+    )
     places, zero = None if reflectors is None else _places(reflectors), prior
     if places is not None and (guess is None or (not isinstance(guess, Calibration) and len(guess) < 4)):
         prior = replace(prior, range_m=0.0, range_sigma_m=np.inf)  # the survey takes the place of the radar's own zero
@@ -164,7 +187,8 @@ class _Prior:
     range_m: float
     range_sigma_m: float  # infinite: unknown
     span_m: float
-    lever_sigma_m: float = 0.0  # of the antenna's place along the line of sight, which focus cannot separate from range
+    lever_sigma_m: float = 0.0  # of the antenna's place; along the line of sight it moves echoes as range does
+    angle_sigma_rad: float = np.pi / 2  # of the boresight
 
     @classmethod
     def of(cls, guess: Guess | None, frames: Frames, span_m: float) -> _Prior:
@@ -213,7 +237,7 @@ class _Prior:
         return np.asarray(np.log(core + TAIL / TAIL_M * np.exp(-0.5 * (away / TAIL_M) ** 2)))
 
     def of_bundle(self, mode_s: float, range_m: float) -> tuple[Floats, Floats]:
-        """Mean and precision (3) of the parameters of a bundle that starts at these offsets."""
+        """Mean and precision (9) of the parameters of a bundle that starts at these offsets."""
         mean, precision = np.zeros(PARAMETERS), np.zeros(PARAMETERS)
         weight = np.array([1 / MODE_S**2, 0.0 if self.t_s is None else 1 / self.t_sigma_s**2])
         mean[CLOCK] = weight @ [mode_s, self.t_s or 0.0] / weight.sum()
@@ -221,16 +245,21 @@ class _Prior:
         near = np.isfinite(self.range_sigma_m) and abs(range_m - self.range_m) < 4 * self.spread_m
         mean[RANGE] = self.range_m if near else range_m
         precision[RANGE] = 1 / self.spread_m**2 if near else 1 / self.span_m**2
-        precision[RATE] = 1 / RATE_SIGMA**2
+        precision[RATE], precision[SCALE] = 1 / RATE_SIGMA**2, 1 / SCALE_SIGMA**2
+        precision[ARM] = 1 / max(self.lever_sigma_m, LEAST_LEVER_SIGMA_M) ** 2
+        precision[BORESIGHT] = 1 / self.angle_sigma_rad**2
         return mean, precision
 
-    def with_focus(self, range_m: float, sigma_m: float, precision: float) -> tuple[float, float]:
-        """Posterior of the range offset from the one at which echoes focus, fitted under a prior of `precision`."""
+    def with_focus(self, range_m: float, sigma_m: float, precision: float, lever_m: float) -> tuple[float, float]:
+        """Posterior of the range offset from the one at which echoes focus, fitted under a prior of `precision`.
+
+        `lever_m` is what is left of the antenna's place, one sigma along the line of sight [m].
+        """
         own = max(1 / sigma_m**2 - precision, 1e-6)  # of the echoes alone
         prior_m = self.range_m if np.isfinite(self.range_sigma_m) else range_m
         near = np.isfinite(self.range_sigma_m) and abs(range_m - self.range_m) < 4 * self.spread_m
         alone_m = range_m + (range_m - prior_m) * precision / own if near else range_m
-        return self.with_range(alone_m, float(np.hypot(1 / np.sqrt(own), self.lever_sigma_m)))
+        return self.with_range(alone_m, float(np.hypot(1 / np.sqrt(own), lever_m)))
 
     @property
     def centre_m(self) -> float:
@@ -320,7 +349,7 @@ class _Focus:
     gain: float  # log-likelihood per independent sample over the frames as they came
     points: int
     strongest: float  # log-likelihood of the three most coherent points
-    found: tuple[Bundle, PointFocus] | None = None  # None: from surveyed places, or no points
+    found: tuple[Bundle, PointFocus] | None = None  # None: no points
 
 
 def _settle(
@@ -345,6 +374,7 @@ def _settle(
         )
     gains = clock.match.gains(float(best.mean[0]))
     _refuse(frames.sensor, gains, modes, probability, best.strongest)
+    estimates, covariance = _estimates(best, prior)
     return Calibration(
         float(best.mean[0]),
         float(best.mean[1]),
@@ -355,8 +385,24 @@ def _settle(
         probability,
         modes,
         _thinned(clock.offset_s, clock.log_posterior),
-        message=_unchecked(frames, track, best),
+        message="" if places is not None else _unchecked(frames, track, best),
+        estimates=estimates,
+        covariance=covariance,
     )
+
+
+_Rows = tuple[tuple[float, ...], ...]
+
+
+def _estimates(best: _Focus, prior: _Prior) -> tuple[_Rows, _Rows]:
+    """The nine quantities, each with its sigma and that of its prior, and their covariance."""
+    if best.found is None:
+        return (), ()
+    theta, covariance = best.found[0].theta, best.found[0].covariance
+    known = 1 / np.sqrt(prior.of_bundle(float(theta[CLOCK]), prior.range_m)[1])
+    known[RANGE] = min(prior.range_sigma_m, prior.span_m)
+    rows = np.column_stack([theta, np.sqrt(np.diag(covariance)), known])
+    return tuple(map(tuple, rows.tolist())), tuple(map(tuple, covariance.tolist()))
 
 
 def _sized(frames: Frames, track: Trajectory, found: Calibration, prior: _Prior) -> Calibration:
@@ -431,12 +477,17 @@ def _focus(frames: Frames, track: Trajectory, mode_s: float, prior: _Prior, plac
         return _surveyed(focus, mode_s, prior, places)
     kept, clock_s, range_m = _searched(focus, mode_s, prior)
     points = focus.drawn(kept, clock_s, range_m)
-    points = [points[k] for k in focus.distinct(points, clock_s)]
+    distinct = focus.distinct(points, clock_s)
+    points, near = [points[k] for k in distinct], [_local(focus, points[k], kept[k]) for k in distinct]
     if not points:
         return _Focus(np.array([mode_s, range_m]), np.array([MODE_S, prior.span_m]), 0.0, 0.0, 0, 0.0)
     mean, precision = prior.of_bundle(mode_s, range_m)
-    found = adjusted(focus, points, np.array([clock_s, range_m, 0.0]), mean, precision)
-    return _judged(focus, found, prior, precision[RANGE])
+    theta = _start(clock_s, range_m)
+    found = max(  # the posterior has several optima
+        (adjusted(focus, one, theta, mean, precision) for one in (points, near)),
+        key=lambda one: _total(one.points) - 0.5 * float(precision @ (one.theta - mean) ** 2),
+    )
+    return _judged(focus, found, prior, precision)
 
 
 def _searched(focus: PointFocus, mode_s: float, prior: _Prior) -> tuple[list[Start], float, float]:
@@ -456,14 +507,33 @@ def _searched(focus: PointFocus, mode_s: float, prior: _Prior) -> tuple[list[Sta
     return kept, float(clocks[np.argmax(by_clock)]), best_m
 
 
+def _local(focus: PointFocus, point: Point, start: Start) -> Point:
+    """The scatterer as seen from near its start: an antenna elsewhere than the mount says blurs long parts first."""
+    near = np.exp(-(((focus.along - start.along_m) / LOCAL_M) ** 2))
+    return replace(point, amplitude=point.amplitude * near)
+
+
+def _start(clock_s: float, range_m: float) -> Floats:
+    """The nine quantities, with these offsets."""
+    theta = np.zeros(PARAMETERS)
+    theta[CLOCK], theta[RANGE] = clock_s, range_m
+    return theta
+
+
 def _total(points: Sequence[Point]) -> float:
     return sum(one.gain for one in points) / POINT_DISPERSION
 
 
-def _judged(focus: PointFocus, found: Bundle, prior: _Prior, precision: float) -> _Focus:
+def _judged(focus: PointFocus, found: Bundle, prior: _Prior, precision: Floats) -> _Focus:
     """Offsets with the range prior, and how coherent the scatterers are."""
     sigma = np.sqrt(np.diag(found.covariance))
-    range_m, sigma_m = prior.with_focus(float(found.theta[RANGE]), float(sigma[RANGE]), precision)
+    lever_m = min(float(np.sqrt(np.linalg.eigvalsh(found.covariance[ARM, ARM])[-1])), prior.lever_sigma_m)
+    range_m, sigma_m = prior.with_focus(
+        float(found.theta[RANGE]), float(sigma[RANGE]), float(precision[RANGE]), lever_m
+    )
+    theta, wider = found.theta.copy(), np.ones(PARAMETERS)
+    theta[RANGE], wider[RANGE] = range_m, sigma_m / sigma[RANGE]
+    found = replace(found, theta=theta, covariance=found.covariance * np.outer(wider, wider))
     samples = sum((focus.weight * (one.amplitude > 0)).sum() for one in found.points) / (focus.wave_m / 2)
     total = sum(one.gain for one in found.points)
     raw = focus.redrawn(np.array([one.place for one in found.points]).reshape(-1, 3), np.zeros(PARAMETERS))
@@ -493,7 +563,11 @@ def _surveyed(focus: PointFocus, mode_s: float, prior: _Prior, places: Floats) -
     seen = int((each[best[0], best[1]] > 0).sum())
     raw = float(focus.brightness(places, 0.0, np.zeros(1)).sum())
     gain = np.log(max(float(each[best[0], best[1]].sum()), 1e-9) / max(raw, 1e-9))
-    return _Focus(mean, np.maximum(sigma, half / 25), float(value.max()), float(gain), seen, np.inf)
+    _, precision = prior.of_bundle(mode_s, float(mean[1]))
+    found = held(focus, places, _start(*mean.tolist()), precision)  # the mount may be wrong: clock and lever arm trade
+    wide = np.sqrt(np.diag(found.covariance))[[CLOCK, RANGE]]
+    sigma = np.maximum(np.maximum(sigma, half / 25), wide)
+    return _Focus(mean, sigma, float(value.max()), float(gain), seen, np.inf, (found, focus))
 
 
 def _corrected(frames: Frames, track: Trajectory, found: Calibration) -> Frames:

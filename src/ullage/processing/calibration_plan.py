@@ -2,7 +2,7 @@
 
 The Fisher information of steady points in white Gaussian noise [Kay1993, ch. 3]: an echo has the phase of its distance
 with an unknown constant, the envelope of the pulse at its delay, and a level over the antenna's pattern. It is the
-model that `ul.calibrate` fits (`bundle`), with its dispersion and more parameters. Places, phases and levels of the
+model that `ul.calibrate` fits, with its slopes and its dispersion (`bundle`). Places, phases and levels of the
 reflectors are nuisances. A projection eliminates them, which equals the Schur complement of bundle adjustment
 [Triggs2000]. The inverse of the information is a bound (Cramer-Rao): a real calibration is at best as sure.
 """
@@ -23,8 +23,15 @@ from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
-from ullage.processing.bundle import DISPERSION
-from ullage.processing.point_focus import VISIBLE_M
+from ullage.processing.bundle import (
+    DISPERSION,
+    LEVEL_SIGMA_DB,
+    SURVEY_SIGMA_M,
+    level_slopes,
+    parameter_slopes,
+    pattern_slopes,
+)
+from ullage.processing.point_focus import RANGE, VISIBLE_M, path_slopes
 from ullage.specs import RadarSpec
 
 SNR_M = 3.0
@@ -103,9 +110,9 @@ def plan_calibration(
     spec: RadarSpec,
     reflectors: ArrayLike,
     *,
-    survey_sigma_m: float = 0.005,
+    survey_sigma_m: float = SURVEY_SIGMA_M,
     snr_db: float = 20.0,
-    level_sigma_db: float = 2.0,
+    level_sigma_db: float = LEVEL_SIGMA_DB,
     track_sigma_m: float = 0.001,
 ) -> CalibrationPlan:
     """Predict how well a flight past reflectors determines clock, clock rate, range zero, mount and scale.
@@ -170,10 +177,7 @@ def _rows(track: Trajectory, spec: RadarSpec, places: Floats, errors: _Errors) -
     phase, envelope = 4 * np.pi / spec.wavelength_m, np.sqrt(2) / (C0 * spec.pulse_sigma_s)  # per metre
     zero, one = np.zeros(len(t_s)), np.ones(len(t_s))
 
-    def slopes(over: Floats, range_zero: float, twist: Floats) -> Floats:
-        clock = -(over * velocity).sum(1) + (twist * spin).sum(1)
-        arm, scale = -np.einsum("nij,ni->nj", body, over), -(over * track.position).sum(1)
-        return np.column_stack([clock, clock * t_s, range_zero * one, arm, twist[:, 1:], scale])
+    moved = path_slopes(velocity, spin, body, track.position, t_s)
 
     for place in places:
         away = place - sensor.position
@@ -183,27 +187,20 @@ def _rows(track: Trajectory, spec: RadarSpec, places: Floats, errors: _Errors) -
         power = (gain(spec.antenna, ahead) / gain(spec.antenna, [[1.0, 0, 0]])) ** 4 * (SNR_M / distance) ** 4
         power = errors.snr * power * ((distance >= spec.range_m[0]) & (distance <= spec.range_m[-1]))
         steady = 1 / (1 / np.maximum(power, 1e-30) + 2 * (phase * errors.track_sigma_m) ** 2)
-        lean = _lean(spec, ahead)  # of the level over the direction in the sensor's frame
-        off = np.einsum("nij,nj->ni", turn, lean) / distance[:, None] - 2 * ray / distance[:, None]
-        twist = np.cross(lean, ahead)  # of the level over a turn of the sensor
+        lean = pattern_slopes(spec, ahead)
+        off, twist = level_slopes(ray, distance, np.einsum("nij,nj->ni", turn, lean), lean, ahead)
+        phases = parameter_slopes(ray, None, *moved)
+        envelopes = phases - np.eye(len(phases[0]))[RANGE]
 
         weight = np.sqrt(2 * steady * samples / DISPERSION)[:, None]
         noise = DISPERSION / np.maximum(2 * power * samples, 1e-30)
         seen = 1 / np.sqrt(errors.level**2 / np.maximum(views, 1e-30) + noise)[:, None]
-        still = np.zeros_like(ray)
         parts = (
-            (weight * phase, ray, one, zero, slopes(ray, 0.0, still)),
-            (weight * envelope, ray, zero, zero, slopes(ray, -1.0, still)),
-            (seen, off, zero, one, slopes(off, 0.0, twist)),
+            (weight * phase, ray, one, zero, phases),
+            (weight * envelope, ray, zero, zero, envelopes),
+            (seen, off, zero, one, parameter_slopes(off, twist, *moved)),
         )
         yield (
             np.vstack([size * np.column_stack([over, common, level]) for size, over, common, level, _ in parts]),
             np.vstack([size * slope for size, *_, slope in parts]),
         )
-
-
-def _lean(spec: RadarSpec, ahead: Floats) -> Floats:
-    """Slope (n, 3) of the logarithm of an echo's amplitude over the direction (n, 3) in the sensor's frame."""
-    step = 1e-4 * np.eye(3)
-    each = [np.log(gain(spec.antenna, ahead + one) / gain(spec.antenna, ahead - one)) / 1e-4 for one in step]
-    return np.stack(each, axis=1)

@@ -13,9 +13,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ullage.arrays import Complexes, Floats, Longs
 from ullage.data import Frames, Trajectory
+from ullage.geometry import quat_matrix, rpy_quat
 from ullage.kernels.backprojection import Pattern, Profiles, Rows, Track, backproject_rows
 from ullage.processing.backprojection import oversampled, oversampling
 from ullage.processing.baseband import to_baseband
@@ -32,6 +34,8 @@ SEED_COHERENCE = 0.35
 SEEDS_PER_SEGMENT, MOST_SEEDS, MOST_POINTS = 12, 40, 16
 SAME_M = 0.06  # two places whose ranges differ by less than this are one echo
 VELOCITY_S = 0.01  # half the time over which a velocity is taken
+PARAMETERS = 9  # that move a path: see `path_slopes`
+CLOCK, RATE, RANGE, ARM, BORESIGHT, SCALE = 0, 1, 2, slice(3, 6), slice(6, 8), 8
 VISIBLE_M = 0.35  # length of track over which the amplitude of an echo is taken as steady
 
 
@@ -51,6 +55,27 @@ class Start:
     ray: Floats  # (3) direction from the track, world
     bin_m: float  # range on the frames' own axis [m]
     along_m: float  # travelled distance at which it was found [m]
+
+
+def path_slopes(velocity: Floats, spin: Floats, body: Floats, position: Floats, t_s: Floats) -> tuple[Floats, Floats]:
+    """Displacements and rotations (n, 3, 9) of an antenna on its path per unit of the nine quantities.
+
+    They are clock offset [s], clock rate, range offset [m], lever arm in body axes (3) [m], boresight down and
+    to the left [rad], scale of the track. Echoes that are planned and those that are fitted have these slopes.
+
+    Args:
+        velocity: (n, 3) of the antenna, world [m/s].
+        spin: (n, 3) angular velocity in the sensor's axes [rad/s], as are the rotations.
+        body: (n, 3, 3) world_from_body.
+        position: (n, 3) of the track, world [m].
+        t_s: (n) time from the middle [s].
+    """
+    place, turn = np.zeros((2, len(t_s), 3, PARAMETERS))
+    place[..., CLOCK], turn[..., CLOCK] = velocity, spin
+    place[..., RATE], turn[..., RATE] = velocity * t_s[:, None], spin * t_s[:, None]
+    place[..., ARM], place[..., SCALE] = body, position
+    turn[..., BORESIGHT] = np.eye(3)[:, 1:]
+    return place, turn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +101,10 @@ class PointFocus:
     def __init__(self, frames: Frames, track: Trajectory, offset_s: float, *, finer: float = 1.0) -> None:
         self.finer = finer
         self.wave_m = frames.spec.wavelength_m
+        self.spec, mount = frames.spec, frames.spec.mount.body_from_sensor()[:3, :3]
         self.known_s, self.position = track.t_ns * 1e-9, track.position
+        self.sensor = quat_matrix(track.quat_xyzw)
+        self.body, self.spin = (self.sensor @ mount.T).reshape(-1, 9), track.rates[1]
         self.t_s = t_s = frames.t_ns * 1e-9
         values, good, place = to_baseband(frames), whole_frames(frames), self.path(offset_s)
         inside = (t_s + offset_s >= self.known_s[0]) & (t_s + offset_s <= self.known_s[-1])
@@ -106,17 +134,35 @@ class PointFocus:
         return self._at(np.asarray(self.t_s + offset_s, np.float64))
 
     def _at(self, when: Floats) -> Floats:
-        return np.stack([np.interp(when, self.known_s, self.position[:, k]) for k in range(3)], axis=1)
+        return _interpolated(when, self.known_s, self.position)
+
+    @property
+    def _apart_s(self) -> Floats:
+        return np.asarray(self.t_s - self.middle_s, np.float64)
+
+    def _when(self, theta: Floats) -> Floats:
+        return np.asarray(self.t_s + theta[CLOCK] + theta[RATE] * self._apart_s, np.float64)
 
     def bent(self, theta: Floats) -> Floats:
-        """Positions (n, 3) of the sensor under clock offset, range offset, and clock rate about the middle."""
-        return self._at(np.asarray(self.t_s + theta[0] + theta[2] * (self.t_s - self.middle_s), np.float64))
+        """Positions (n, 3) of the sensor under the nine quantities; the rate of the clock is about the middle."""
+        when = self._when(theta)
+        path = self._at(when) * (1 + theta[SCALE])
+        return np.asarray(path if not theta[ARM].any() else path + self._bodies(when) @ theta[ARM])
 
-    def bend(self, theta: Floats) -> Floats:
-        """Displacements (n, 3, 3) of the path per unit of each parameter."""
-        step = np.array([VELOCITY_S, 0.0, 0.0])
+    def _bodies(self, when: Floats) -> Floats:
+        return _interpolated(when, self.known_s, self.body).reshape(-1, 3, 3)
+
+    def bend(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Displacements and rotations (n, 3, 9) of the sensor per unit of each quantity."""
+        step, when = np.eye(PARAMETERS)[CLOCK] * VELOCITY_S, self._when(theta)
         velocity = (self.bent(theta + step) - self.bent(theta - step)) / (2 * VELOCITY_S)
-        return np.stack([velocity, np.zeros_like(velocity), velocity * (self.t_s - self.middle_s)[:, None]], axis=2)
+        spin = _interpolated(when, self.known_s, self.spin)
+        return path_slopes(velocity, spin, self._bodies(when), self._at(when), self._apart_s)
+
+    def antennas(self, theta: Floats) -> Floats:
+        """Rotations (n, 3, 3), world from antenna, under the nine quantities."""
+        near = np.searchsorted(self.known_s, self._when(theta)).clip(0, len(self.known_s) - 1)
+        return np.asarray(self.sensor[near] @ quat_matrix(rpy_quat(0.0, *theta[BORESIGHT])))
 
     def echoes(self, places: Floats, path: Floats, range_m: float) -> Echoes:
         """Echoes of places (k, 3) on a path (n, 3)."""
@@ -289,7 +335,7 @@ class PointFocus:
 
     def redrawn(self, places: Floats, theta: Floats) -> tuple[Point, ...]:
         """Scatterers at these places, with the parts of the track from which they are seen; each echo once."""
-        path, ranges = self.bent(theta)[None], np.full(len(places), theta[1])
+        path, ranges = self.bent(theta)[None], np.full(len(places), theta[RANGE])
         amplitude = self._amplitudes(places, path, ranges)
         gain = self._gains(self._along_points(places, path, ranges)[0], amplitude)
         points = [Point(*one) for one in zip(places, amplitude, gain.tolist(), strict=True)]
@@ -324,6 +370,11 @@ class PointFocus:
                 value, _ = self._along_points(place[None], path[None], np.array([range_m]))
                 out[row, column] = abs((self.weight * value[0]).sum()) ** 2 / total / (self.wave_m / 2)
         return out
+
+
+def _interpolated(when: Floats, known_s: NDArray[np.floating], values: NDArray[np.floating]) -> Floats:
+    """Values (n, q) at times (n) between known ones (m, q), held beyond their ends."""
+    return np.stack([np.interp(when, known_s, column) for column in values.T], axis=1)
 
 
 def _neighbourhood(along: Floats, weight: Floats) -> csr_array:
