@@ -181,6 +181,24 @@ def test_a_slope_is_one_surface_of_its_elevation_and_no_wall(elevation_deg):
     assert not omap.free[tuple(beyond.T)].any()
 
 
+def free_beside(omap, y):
+    return omap.free[tuple(GRID.index(np.column_stack([0 * y, y, 0 * y]))[0].T)]
+
+
+def test_an_echo_that_one_radar_hears_on_a_straight_track_shows_no_slope():
+    path = Trajectory.line((-1.5, 0, 0), (1.5, 0, 0), speed_m_s=0.5, rate_hz=8)
+    omap = mapped(flown(path, slope(90, 1.7, 30), wall(90, 2.5))).map()
+    assert not free_beside(omap, np.arange(1.65, 2.5, 0.1)).any(), "it may be a wall at its range"
+    assert free_beside(omap, np.arange(0.85, 1.5, 0.1)).all()
+
+
+def test_the_echo_of_a_wall_frees_nothing_beyond_the_place_where_a_slope_may_cut_the_plane():
+    omap = mapped(flown(curve(), slope(90, 1.6, 40), wall(90, 2.6))).map()
+    cut_m = 1.6 / np.cos(np.radians(40))
+    assert not free_beside(omap, np.arange(cut_m + 0.05, 2.6, 0.1)).any()
+    assert free_beside(omap, np.arange(0.85, cut_m - 0.15, 0.1)).all()
+
+
 @pytest.mark.parametrize("above_m", [0.2, 0.6])
 def test_a_pipe_above_the_flight_is_not_occupied_where_a_stronger_wall_shows_behind_it(above_m):
     path = Trajectory.line((-1.0, 0, 0), (1.0, 0.1, 0), 0.5, 8.0)
