@@ -250,16 +250,16 @@ class _Prior:
         precision[BORESIGHT] = 1 / self.angle_sigma_rad**2
         return mean, precision
 
-    def with_focus(self, range_m: float, sigma_m: float, precision: float, lever_m: float) -> tuple[float, float]:
+    def with_focus(self, range_m: float, sigma_m: float, precision: float) -> tuple[float, float]:
         """Posterior of the range offset from the one at which echoes focus, fitted under a prior of `precision`.
 
-        `lever_m` is what is left of the antenna's place, one sigma along the line of sight [m].
+        The antenna's place counts as unknown as it was: on a real rail the one that was fitted made the range too sure.
         """
         own = max(1 / sigma_m**2 - precision, 1e-6)  # of the echoes alone
         prior_m = self.range_m if np.isfinite(self.range_sigma_m) else range_m
         near = np.isfinite(self.range_sigma_m) and abs(range_m - self.range_m) < 4 * self.spread_m
         alone_m = range_m + (range_m - prior_m) * precision / own if near else range_m
-        return self.with_range(alone_m, float(np.hypot(1 / np.sqrt(own), lever_m)))
+        return self.with_range(alone_m, float(np.hypot(1 / np.sqrt(own), self.lever_sigma_m)))
 
     @property
     def centre_m(self) -> float:
@@ -527,10 +527,7 @@ def _total(points: Sequence[Point]) -> float:
 def _judged(focus: PointFocus, found: Bundle, prior: _Prior, precision: Floats) -> _Focus:
     """Offsets with the range prior, and how coherent the scatterers are."""
     sigma = np.sqrt(np.diag(found.covariance))
-    lever_m = min(float(np.sqrt(np.linalg.eigvalsh(found.covariance[ARM, ARM])[-1])), prior.lever_sigma_m)
-    range_m, sigma_m = prior.with_focus(
-        float(found.theta[RANGE]), float(sigma[RANGE]), float(precision[RANGE]), lever_m
-    )
+    range_m, sigma_m = prior.with_focus(float(found.theta[RANGE]), float(sigma[RANGE]), float(precision[RANGE]))
     theta, wider = found.theta.copy(), np.ones(PARAMETERS)
     theta[RANGE], wider[RANGE] = range_m, sigma_m / sigma[RANGE]
     found = replace(found, theta=theta, covariance=found.covariance * np.outer(wider, wider))
