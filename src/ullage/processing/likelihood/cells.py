@@ -100,7 +100,7 @@ def render(
         near = _extensions(plane, views, alive, spec.extension_m)
         ends = evidence.copy()
         draw_surfaces(plane, views, doubtful, ends, level)
-        nearest, reached = _nearest(views, owner, surfaces, spec.extension_m)
+        nearest, reached = _nearest(views, owner, surfaces, spec.extension_m)  # echoes whose place is open free nothing
         ends += _standing(plane, nearest, slopes & ~cut[1] & reached, (views, alive, widening), spec)
         width = np.where(alive | slopes, spec.tube * clearance, 0.0)
         tubes = Tubes(width, doubt, wavelength_m, spec.margin_m, SURE_M)
@@ -133,15 +133,16 @@ def free_percent(nats: Floats, spec: LikelihoodSpec) -> NDArray[np.int8]:
 
 
 def _nearest(views: Views, owner: Longs, surfaces: list[Surface], extension_m: float) -> tuple[Views, Bools]:
-    """Views with each surface where it would cut the plane if it went on straight, and which may go on so far (k).
+    """Views with each surface where it may meet the plane first, and which may go on so far (k).
 
-    A lying cylinder of open bend always may, since its arc to the plane is not known.
+    A slope goes on straight. A lying cylinder of open bend may meet the plane anywhere from its range on.
     """
     sigma = np.sqrt([one.covariance[3, 3] for one in surfaces])[owner]
-    open_ = np.array([one.lying for one in surfaces])[owner]
+    cosine = np.minimum(views.state[:, 3] + SIGMAS * sigma, 1.0)
+    straight = np.where(np.array([one.lying for one in surfaces])[owner], 1.0, cosine)
     state, range_m = views.state.copy(), views.state[:, 0]
-    state[:, 0] /= np.minimum(state[:, 3] + SIGMAS * sigma, 1.0)
-    return views._replace(state=state), open_ | (state[:, 0] ** 2 - range_m**2 <= extension_m**2)
+    state[:, 0] = range_m / straight
+    return views._replace(state=state), state[:, 0] ** 2 - range_m**2 <= extension_m**2
 
 
 def _standing(
