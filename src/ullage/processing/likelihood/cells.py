@@ -100,7 +100,8 @@ def render(
         near = _extensions(plane, views, alive, spec.extension_m)
         ends = evidence.copy()
         draw_surfaces(plane, views, doubtful, ends, level)
-        nearest, reached = _nearest(views, owner, surfaces, spec.extension_m)  # echoes whose place is open free nothing
+        # surfaces whose place is open end the paths of other echoes
+        nearest, reached = _nearest(views, owner, surfaces, spec.extension_m)
         ends += _standing(plane, nearest, slopes & ~cut[1] & reached, (views, alive, widening), spec)
         width = np.where(alive | slopes, spec.tube * clearance, 0.0)
         tubes = Tubes(width, doubt, wavelength_m, spec.margin_m, SURE_M)

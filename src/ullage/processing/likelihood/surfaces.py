@@ -42,7 +42,6 @@ WORST = 60.0  # bound on the squared distance that counts against a rival
 UPRIGHT, SLOPED, LYING = range(3)  # rivals
 RIVALS = 3
 KNOWN_NATS = 3.0  # by which the other side of a known lying cylinder is preferred to an upright surface
-RIGID = 0.2  # share of that variance by which the axis and radius of a lying cylinder change
 BEND_SIGMA = 1.0  # prior standard deviation of the curvature of a lying cylinder [1/m]
 
 
@@ -255,7 +254,6 @@ class SurfaceTracker:
         covariance = jacobian @ np.concatenate([one.covariances for one in self.surfaces]) @ jacobian.transpose(0, 2, 1)
         growth = NOISE**2 * self._spec.process_noise * (1 + unseen_m[:, None] * GROWTH)
         growth[UPRIGHT::RIVALS, 3] = 0.0
-        growth[LYING::RIVALS, 1:] *= RIGID
         climb = np.repeat(height_m - np.array([one.height_m for one in self.surfaces]), RIVALS)
         growth[:, 0] += climb**2 * np.maximum(1 - state[:, 3] ** 2, 0.0)
         covariance[:, range(4), range(4)] += growth
