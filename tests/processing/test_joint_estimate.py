@@ -54,7 +54,7 @@ def test_a_flight_that_turns_shows_where_the_antenna_is_and_points() -> None:
     assert (sigma[ARM] < 0.1 * known[ARM]).all()
     assert (sigma[BORESIGHT] < np.radians(3)).all()
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), sigma)
-    assert not any("lever arm" in name and "not told apart" in words for name, _, words in offset_rows(found))
+    assert not any("lever arm" in name and "not separated" in words for name, _, words in offset_rows(found))
 
 
 @pytest.mark.slow
@@ -63,7 +63,7 @@ def test_a_straight_rail_leaves_the_lever_arm_open_and_the_clock_to_it() -> None
     found = ul.calibrate(frames, guess=(0.0, 0.02), t_span_s=0.3).calibration
     value, sigma, known = np.array(found.estimates).T
     np.testing.assert_allclose(sigma[ARM], known[ARM], rtol=0.02)
-    open_ones = [name for name, _, words in offset_rows(found) if "not told apart" in words]
+    open_ones = [name for name, _, words in offset_rows(found) if "not separated" in words]
     assert {f"joint: lever arm {axis}" for axis in "xyz"} <= set(open_ones)
     assert abs(value[CLOCK] - TRUTH[CLOCK]) < 3 * sigma[CLOCK]
     wide, narrow = (

@@ -58,7 +58,7 @@ def test_a_radar_whose_range_ends_sooner_makes_nearly_the_same_map(flight, hall_
     without = ul.map_occupancy({name: one for name, one in flight.items() if name != "left"}, GRID)
     here, other, none = (one.occupied for one in (hall_map, omap, without))
     assert (here != other).sum() < 0.05 * here.sum()
-    assert (here != none).sum() > 0.15 * here.sum()
+    assert (here != none).sum() > 0.2 * here.sum()
 
 
 def test_a_hall_is_mapped_far_better_than_by_the_baseline(flight, hall_map):

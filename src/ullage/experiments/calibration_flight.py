@@ -21,7 +21,7 @@ from ullage.specs import RadarSpec
 
 REST_NS = 2_000_000_000
 REFLECTORS = ((3.0, -1.5, 1.2), (3.0, 1.5, 1.8), (-3.5, 0.0, 1.5), (0.0, 4.5, 1.2))
-TOLD_APART = 0.71  # of a prior sigma: above it echoes say less than was known
+SEPARATED = 0.71  # of a prior sigma: above it the echoes add less than was known before
 BESIDE_M = 2.0
 """Distance of assumed reflectors from the box around a track."""
 
@@ -182,6 +182,6 @@ def offset_rows(found: Calibration) -> list[tuple[str, str, str]]:
         ("scale of the track, not applied", f"{found.scale:.3f}", scale),
     ]
     for one, (value, sigma, assumed) in zip(quantities(RadarSpec()), found.estimates, strict=False):
-        known = f"{sigma * one.factor:.2g} {one.unit}" if sigma < assumed * TOLD_APART else "not told apart"
+        known = f"{sigma * one.factor:.2g} {one.unit}" if sigma < assumed * SEPARATED else "not separated"
         rows.append((f"joint: {one.name}", f"{value * one.factor:+.4g} {one.unit}", known))
     return rows

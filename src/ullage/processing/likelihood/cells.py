@@ -102,7 +102,7 @@ def render(
         draw_surfaces(plane, views, doubtful, ends, level)
         # surfaces whose place is open end the paths of other echoes
         nearest, reached = _nearest(views, owner, surfaces, spec.extension_m)
-        ends += _standing(plane, nearest, slopes & ~cut[1] & reached, (views, alive, widening), spec)
+        ends += _unplaced(plane, nearest, slopes & ~cut[1] & reached, (views, alive, widening), spec)
         width = np.where(alive | slopes, spec.tube * clearance, 0.0)
         tubes = Tubes(width, doubt, wavelength_m, spec.margin_m, SURE_M)
         free = _passed(plane, paths, tubes, ends, near) & (quiet[0] >= 0)
@@ -146,7 +146,7 @@ def _nearest(views: Views, owner: Longs, surfaces: list[Surface], extension_m: f
     return views._replace(state=state), state[:, 0] ** 2 - range_m**2 <= extension_m**2
 
 
-def _standing(
+def _unplaced(
     plane: Plane, views: Views, unplaced: Bools, others: tuple[Views, Bools, float], spec: LikelihoodSpec
 ) -> Floats:
     """Evidence (cells) of surfaces whose place in the plane is open, where stronger echoes do not come through them.
