@@ -6,7 +6,7 @@ import pstats
 import signal
 import weakref
 from collections.abc import Iterator
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from cProfile import Profile
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ from ullage.flow import Due
 from ullage.pipeline import DetectStage, ImageStage, InMemorySource, MapStage
 from ullage.ports.publisher import Publisher
 from ullage.processing.own_echo import OwnEchoFilter
-from ullage.stop_signals import StopFlag, stop_as_ctrl_c
+from ullage.stop_signals import StopFlag, raise_if_stopped, stop_as_ctrl_c
 
 
 def thesis_frames(n: int = 60) -> ul.Frames:
@@ -111,6 +111,20 @@ def test_the_first_signal_sets_the_flag_and_the_second_raises(number: signal.Sig
         assert stop.requested
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(number)
+
+
+@pytest.mark.usefixtures("heeded_signals")
+def test_ctrl_c_that_was_lost_ends_its_own_work_and_not_the_next() -> None:
+    with stop_as_ctrl_c():
+        with StopFlag(raises_at=1), suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            raise_if_stopped()
+    with StopFlag(raises_at=1), suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    raise_if_stopped()
+    with stop_as_ctrl_c():
+        raise_if_stopped()
 
 
 def test_every_frame_reaches_the_sink_and_the_map_is_that_of_the_whole() -> None:

@@ -10,12 +10,13 @@ from types import FrameType
 from typing import Any, Self
 
 STOP = (signal.SIGTERM, signal.SIGHUP)
-_raised = threading.Event()
-"""Set where a signal raised an exception within `stop_as_ctrl_c`."""
+_raised: threading.Event | None = None
+"""Within `stop_as_ctrl_c`: set once a signal raised an exception. A block that has ended says nothing of the next."""
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
-    _raised.set()
+    if _raised is not None:
+        _raised.set()
     raise KeyboardInterrupt
 
 
@@ -66,7 +67,7 @@ def raise_if_stopped() -> None:
     Raises:
         KeyboardInterrupt: a signal raised one before.
     """
-    if _raised.is_set():
+    if _raised is not None and _raised.is_set():
         raise KeyboardInterrupt
 
 
@@ -77,6 +78,7 @@ def stop_as_ctrl_c() -> Iterator[None]:
     Raises:
         KeyboardInterrupt: Ctrl-C, also where foreign code that it cut made an error of its own of it.
     """
+    global _raised  # noqa: PLW0603 - a signal handler has no other way to it
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -84,14 +86,15 @@ def stop_as_ctrl_c() -> Iterator[None]:
     before = {number: signal.signal(number, _as_ctrl_c) for number in heeded}
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         before[signal.SIGINT] = signal.signal(signal.SIGINT, _raise)
-    _raised.clear()
+    outer, _raised = _raised, (raised := threading.Event())
     try:
         yield
     except Exception as error:
-        if _raised.is_set():
+        if raised.is_set():
             raise KeyboardInterrupt from error
         raise
     finally:
+        _raised = outer
         for number, handler in before.items():
             signal.signal(number, handler if handler is not None else signal.SIG_DFL)
 

@@ -136,7 +136,7 @@ class Follower:
             self.north, self.east, self.down = (
                 h + share * g for g, h in zip(gap, (self.north, self.east, self.down), strict=True)
             )
-        near = math.hypot(gap[0], gap[1]) < 1.1 * self.radius_m and abs(gap[2]) < 0.5
+        near = math.hypot(gap[0], gap[1]) < 1.01 * self.radius_m and abs(gap[2]) < 0.5  # on its circle
         told = self._told(now, near=near) if self.reports else b""
         return told + estimated_state(now, self.north, self.east, self.down, 0.0)
 
