@@ -414,16 +414,16 @@ def test_laps_over_the_same_places_add_neither_evidence_nor_surfaces():
     count = len(path)
     reflectors = wall(90, 2.4), wall(-40, 3.0), pillar((1.4, -1.8), 0.2)
     mapper, seen, odds = LikelihoodMapper(GRID), [], []
-    for lap in range(5):
+    for lap in range(8):
         rows = np.arange(count)[:: (-1) ** lap]
         t_ns = (np.arange(count) + lap * count) * 120_000_000
         mapper.update(flown(Trajectory(t_ns, path.position[rows], path.quat_xyzw[rows]), *reflectors, seed=lap))
-        if lap in (1, 3, 4):
+        if lap in (1, 6, 7):
             surfaces = mapper.surfaces()
             seen.append(sum(one.seen for one in surfaces))
             odds.append(max(one.log_odds for one in surfaces))
     assert seen[2] < 1.5 * seen[0]
-    assert odds[2] < 1.05 * odds[1]
+    assert odds[2] < 1.02 * odds[1]  # all places count in full by then
 
 
 @pytest.mark.parametrize("together", [1.0, 0.4, 0.0])
@@ -529,13 +529,11 @@ def test_places_that_a_hover_comes_back_to_add_nothing():
     circle = np.linspace(0, 2 * np.pi, 24, endpoint=False)[:, None]
     once = way.position[-1] + 0.02 * np.concatenate([np.cos(circle) - 1, np.sin(circle), 0 * circle], axis=1)
 
-    def hovered(rounds):
-        position = np.concatenate([way.position, *[once] * rounds])
-        t_ns = np.arange(len(position)) * 40_000_000
-        frames = flown(Trajectory(t_ns, position, np.tile([0, 0, 0, 1.0], (len(position), 1))), wall(90, 2.4))
-        return mapped(frames)
-
-    short, long = hovered(1), hovered(20)
+    position = np.concatenate([way.position, *[once] * 20])
+    t_ns = np.arange(len(position)) * 40_000_000
+    frames = flown(Trajectory(t_ns, position, np.tile([0, 0, 0, 1.0], (len(position), 1))), wall(90, 2.4))
+    first = len(way) + len(once)
+    short, long = mapped({name: part[:first] for name, part in frames.items()}), mapped(frames)
     assert len(short.surfaces()) == len(long.surfaces()) >= 1
     for one, other in zip(short.surfaces(), long.surfaces(), strict=True):
         assert (one.log_odds, one.seen) == (other.log_odds, other.seen)
