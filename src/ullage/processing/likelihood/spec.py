@@ -35,7 +35,7 @@ class LikelihoodSpec:
     bearing_sigma_deg: float = 0.5  # added to what the phases give
     curvature_sigma: float = 0.1  # the same of the curvature [1/m]
     cosine_sigma: float = 0.001  # the same of the cosine of the elevation
-    process_noise: float = 1.0  # variance by which surfaces may bend; 1: (0.9 mm, 0.15 deg, 0.0225 /m)^2 a metre
+    process_noise: float = 1.0  # variance by which surfaces may bend; 1: (0.6 mm, 0.1 deg, 0.015 /m)^2 a keyframe
     upright_nats: float = 20.0  # by which an upright surface is preferred to a slope at first: most are upright
     gate: float = 12.0  # greatest squared Mahalanobis distance of an echo: 99 % of three parameters
     echo_cost: float = 6.0  # nats that an echo must explain before it speaks for a surface

@@ -22,8 +22,8 @@ from ullage.processing.likelihood.lying import lying_share
 from ullage.processing.likelihood.spec import LikelihoodSpec
 
 STEPS = np.array([1e-4, 1e-5, 1e-4, 1e-4])  # of the numerical derivatives: m, rad, 1/m, cosine
-BEND = np.array([9e-4, math.radians(0.15), 0.0225, 0.015])  # of a surface in 1 m of track: m, rad, 1/m, cosine
-LEAST_NEW = 1e-3  # bound of the share of a view that is new
+NOISE = np.array([6e-4, math.radians(0.1), 0.015, 0.01])  # that a surface may bend in a keyframe: m, rad, 1/m, cosine
+GROWTH = np.array([20.0, 20.0, 5.0, 5.0])  # of that variance, for each metre of track that did not see the surface
 RANGE_GATE_M = 0.3  # a surface whose predicted range is less sure than this takes no echo
 NEAREST_M = 0.2  # predicted ranges below it are behind the sensor
 FOOT_M, VIEW_M = 0.05, 0.15  # a specular point seen from nearly the same place again replaces the earlier one
@@ -252,7 +252,7 @@ class SurfaceTracker:
         lying = np.tile(np.arange(RIVALS) == LYING, len(self.surfaces))
         jacobian = _jacobian(state, step, lying)
         covariance = jacobian @ np.concatenate([one.covariances for one in self.surfaces]) @ jacobian.transpose(0, 2, 1)
-        growth = BEND**2 * self._spec.process_noise * unseen_m[:, None]
+        growth = NOISE**2 * self._spec.process_noise * (1 + unseen_m[:, None] * GROWTH)
         growth[UPRIGHT::RIVALS, 3] = 0.0
         climb = np.repeat(height_m - np.array([one.height_m for one in self.surfaces]), RIVALS)
         growth[:, 0] += climb**2 * np.maximum(1 - state[:, 3] ** 2, 0.0)
@@ -327,10 +327,6 @@ class SurfaceTracker:
         best = whole.reshape(-1, RIVALS, len(echoes)).min(axis=1)
         out: list[tuple[Surface, int, tuple[Floats, Floats, Floats]]] = []
         taken = np.zeros(len(self.surfaces), bool), np.zeros(len(echoes), bool)
-        # Errors of ranges and bearings are mostly the same in views that share frames. So the likelihood of a view is
-        # raised to the power of the share of it that is new: its covariance is divided by that [Ibrahim2015]
-        moved_m = self._flown_m - np.array([one.seen_m for one in self.surfaces])
-        new = np.clip(moved_m / self._spec.dependence_m, LEAST_NEW, 1.0)
         for flat in np.argsort(best, axis=None, kind="stable"):
             s, e = divmod(int(flat), len(echoes))
             if best[s, e] > self._spec.gate + 2 * MOST_BEHIND:
@@ -339,14 +335,13 @@ class SurfaceTracker:
                 continue
             taken[0][s] = taken[1][e] = True
             mine = slice(RIVALS * s, RIVALS * s + RIVALS)
-            shown = covariance[mine] * shows[mine, None]
-            gain = shown @ np.linalg.inv(shows[mine, :, None] * shown + echoes.covariance[e] / new[s])
-            updated = state[mine] + (gain @ apart[mine, e, :, None])[..., 0]
-            updated[SLOPED, 3] = min(max(updated[SLOPED, 3], LEAST_COSINE), 1.0)
-            updated[LYING, 3] = min(max(updated[LYING, 3], -1.0), 1.0)
+            gain = covariance[mine] @ (shows[mine, :, None] * inverse[mine, e])
+            new = state[mine] + (gain @ apart[mine, e, :, None])[..., 0]
+            new[SLOPED, 3] = min(max(new[SLOPED, 3], LEAST_COSINE), 1.0)
+            new[LYING, 3] = min(max(new[LYING, 3], -1.0), 1.0)
             left = (np.eye(4) - gain * shows[mine, None]) @ covariance[mine]
-            _faced(updated[LYING:], left[LYING:])
-            out.append((self.surfaces[s], e, (updated, left, -0.5 * np.minimum(distance[mine, e], WORST))))
+            _faced(new[LYING:], left[LYING:])
+            out.append((self.surfaces[s], e, (new, left, -0.5 * np.minimum(distance[mine, e], WORST))))
         return out
 
     def _see(self, surface: Surface, echoes: Echoes, echo: int, evidence: Floats) -> None:

@@ -20,11 +20,12 @@ from ullage.kernels.directed_sums import weigh_levels
 from ullage.processing.likelihood.directions import DirectedEchoes, across, ring
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import (
-    BEND,
     FLAT,
     FORGET_M,
+    GROWTH,
     MOST_BEHIND,
     NEAREST_M,
+    NOISE,
     RANGE_GATE_M,
     WORST,
 )
@@ -45,7 +46,8 @@ FAINTEST_DB = -26.0  # of a flat surface against a mirror [ITU-R-P2040]
 EDGE = 0.3  # 1 - curvature x range, from which a surface bends less than an edge does
 PLANE, CYLINDER = 0, 1
 PROJECTORS = np.stack([np.zeros((3, 3)), np.diag([1.0, 1.0, 0.0])])
-BEND_3D = BEND[[0, 1, 1, 2]]  # that a surface may bend in 1 m of track: m, rad, rad, 1/m
+NOISES = np.array([NOISE[0], NOISE[1], NOISE[1], NOISE[2]])
+GROWTHS = np.array([GROWTH[0], GROWTH[1], GROWTH[1], GROWTH[2]])
 ODDS = 2.0  # least log-odds over those on a plane: a ring of rivals fits by chance more often than one bearing
 PLACE_M = 0.06  # sightings from the same place replace each other
 
@@ -187,7 +189,7 @@ class SpatialTracker:
             step,
         )
         unseen_m = self._flown_m - np.array([one.seen_m for one in self.surfaces])[owner]
-        growth = BEND_3D**2 * self._spec.process_noise * unseen_m[:, None]
+        growth = NOISES**2 * self._spec.process_noise * (1 + unseen_m[:, None] * GROWTHS)
         growth[shape == PLANE, 3] = 0.0
         growth[shape == CYLINDER, 1] = 0.0
         covariance[:, range(4), range(4)] += growth
