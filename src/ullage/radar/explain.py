@@ -259,11 +259,16 @@ def _places(points: Floats, apart_m: float) -> list[Longs]:
     """Points (n, 3) [m] that hang together, none farther from the next than so much."""
     if (np.ptp(points, axis=0) ** 2).sum() <= apart_m**2:
         return [np.arange(len(points))]
-    boxes, box = np.unique(np.floor(points * (8 / apart_m)), axis=0, return_inverse=True)  # thin out what lies dense
+    cells = np.floor(points * (8 / apart_m)).astype(np.int64)
+    cells -= cells.min(axis=0)
+    shape = cells.max(axis=0) + 1
+    keys, box = np.unique(np.ravel_multi_index(cells.T, shape), return_inverse=True)  # thin out what lies dense
+    boxes = np.column_stack(np.unravel_index(keys, shape))
     near = cKDTree(boxes).query_pairs(8, output_type="ndarray")
     links = coo_array((np.ones(len(near)), near.T), shape=(len(boxes), len(boxes)))
     count, label = connected_components(links, directed=False)
-    return [np.flatnonzero(label[box.ravel()] == k) for k in range(count)]
+    mine = label[box]
+    return np.split(np.argsort(mine, kind="stable"), np.cumsum(np.bincount(mine, minlength=count))[:-1])
 
 
 def _one(rows: _Rows, mine: Longs, shares: Floats) -> _Cluster:
