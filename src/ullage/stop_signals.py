@@ -11,7 +11,7 @@ from typing import Any, Self
 
 STOP = (signal.SIGTERM, signal.SIGHUP)
 _raised: threading.Event | None = None
-"""Within `stop_as_ctrl_c`: set once a signal raised an exception. A block that has ended says nothing of the next."""
+"""Set once a signal raised an exception within `stop_as_ctrl_c`; each block has its own, and None is outside all."""
 
 
 def _raise(number: int, frame: FrameType | None) -> None:

@@ -253,7 +253,7 @@ class _Prior:
     def with_focus(self, range_m: float, sigma_m: float, precision: float) -> tuple[float, float]:
         """Posterior of the range offset from the one at which echoes focus, fitted under a prior of `precision`.
 
-        The place of the antenna counts as unknown as before: on a real rail its estimate made the sigma too small.
+        The place of the antenna has its prior here, not its estimate: on a real rail that made the sigma too small.
         """
         own = max(1 / sigma_m**2 - precision, 1e-6)  # of the echoes alone
         prior_m = self.range_m if np.isfinite(self.range_sigma_m) else range_m
