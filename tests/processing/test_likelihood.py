@@ -434,7 +434,9 @@ def test_directions_are_summed_as_the_definition_says(together):
     offset, sensor = rng.normal(size=(rows, 3)) * 4, np.repeat(np.arange(3), 8)
     gains = np.linspace(1.0, 0.2, 2001) * np.array([[1.0], [0.8], [0.6]])
     axes, phase, moment = np.eye(3), 1.7, np.tile(np.arange(8), 3)
-    aperture = Aperture(samples, offset, sensor, axes, gains, phase, moment, np.zeros((3, 3)), np.array([together]))
+    aperture = Aperture(
+        samples, offset, sensor, axes, gains, phase, moment, np.zeros((3, 3)), np.array([together]), np.zeros(len(axes))
+    )
     directions = rng.normal(size=(70, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     sums = DirectionSums(directions)
@@ -595,7 +597,9 @@ def twelve_moments():
     samples[:, 18:22, 0] = 1.0
     sensor, gains = np.arange(48) % 4, np.ones((4, 2001))
     spread, together = np.zeros((3, 3)), np.ones(1)
-    return Aperture(samples, np.zeros((48, 3)), sensor, np.eye(4, 3), gains, 3.0, moment, spread, together), moment
+    return Aperture(
+        samples, np.zeros((48, 3)), sensor, np.eye(4, 3), gains, 3.0, moment, spread, together, np.zeros(4)
+    ), moment
 
 
 def test_echoes_correct_the_positions_along_their_direction():

@@ -178,7 +178,7 @@ def subtract_directed(aperture: Aperture, found: Floats, sums: Floats, pulse: fl
         mine = aperture.sensor[i]
         rows = max(sums[mine, 2], 1.0)
         x, y = sums[mine, 0] / rows, sums[mine, 1] / rows
-        delay = _delay(aperture.offset[i], unit, found[5])
+        delay = _delay(aperture.offset[i], unit, found[5]) + aperture.late[mine]
         at = delay + found[6]
         c, s = math.cos(aperture.phase * delay), math.sin(aperture.phase * delay)
         real, imag = x * c + y * s, y * c - x * s

@@ -33,6 +33,7 @@ class Aperture(NamedTuple):
     moment: NDArray[np.int64]  # (m) index of the time of each row
     spread: NDArray[np.float64]  # (3, 3) covariance of the errors of a moment's position [bin^2]
     together: NDArray[np.float64]  # (1) expected coherence between sensors, under the errors of their mounts
+    late: NDArray[np.float64]  # (s) by which an echo is later for each sensor, folded by another pulse interval [bin]
 
 
 @inner(fastmath=True)
@@ -138,7 +139,7 @@ def _turn_rows(aperture: Aperture, gain: Floats, curvature: float, d: int, turns
         g = gain[aperture.sensor[i]]
         if g <= LEAST_GAIN:
             continue
-        delay = _delay(aperture.offset[i], unit, curvature)
+        delay = _delay(aperture.offset[i], unit, curvature) + aperture.late[aperture.sensor[i]]
         first = math.floor(delay)
         c, s = _cos_sin(aperture.phase * delay)
         turns.row[d, n], turns.first[d, n] = i, first
@@ -175,7 +176,7 @@ def sum_turned(
     for i in range(rows):
         o = aperture.offset[i]
         reach = max(reach, o[0] * o[0] + o[1] * o[1] + o[2] * o[2])
-    reach = math.sqrt(reach) * (1 + abs(curvature) * math.sqrt(reach))
+    reach = math.sqrt(reach) * (1 + abs(curvature) * math.sqrt(reach)) + np.max(np.abs(aperture.late))
     before, after = max(low - int(reach) - 2, 0), min(high + int(reach) + 3, bins)
     x, y = np.empty((rows, after - before), np.float32), np.empty((rows, after - before), np.float32)
     for i in range(rows):
@@ -282,7 +283,8 @@ def _fit_at(
     parts[:] = 0.0
     curvature, place, cosine, lying = reflector[1], reflector[2], reflector[3], reflector[4]
     for i in range(samples.shape[0]):
-        delay = _range(aperture.offset[i], unit, cosine, curvature, lying)
+        mine = aperture.sensor[i]
+        delay = _range(aperture.offset[i], unit, cosine, curvature, lying) + aperture.late[mine]
         at = delay + place
         k = math.floor(at)
         if k < 0 or k >= samples.shape[1] - 1:
@@ -291,7 +293,6 @@ def _fit_at(
         x = samples[i, k, 0] * (1 - share) + samples[i, k + 1, 0] * share
         y = samples[i, k, 1] * (1 - share) + samples[i, k + 1, 1] * share
         real, imag = _cos_sin(aperture.phase * delay)
-        mine = aperture.sensor[i]
         sums[mine, 0] += x * real - y * imag
         sums[mine, 1] += x * imag + y * real
         sums[mine, 2] += 1
@@ -421,7 +422,7 @@ def subtract(aperture: Aperture, found: Floats, sums: Floats, pulse: float) -> N
         mine = aperture.sensor[i]
         rows = max(sums[mine, 2], 1.0)
         x, y = sums[mine, 0] / rows, sums[mine, 1] / rows
-        delay = _range(aperture.offset[i], unit, found[5], found[3], found[6])
+        delay = _range(aperture.offset[i], unit, found[5], found[3], found[6]) + aperture.late[mine]
         at = delay + found[4]
         c, s = math.cos(aperture.phase * delay), math.sin(aperture.phase * delay)
         real, imag = x * c + y * s, y * c - x * s

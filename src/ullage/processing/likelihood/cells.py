@@ -24,6 +24,7 @@ from ullage.kernels.surface_cells import (
     find_crossed,
     find_hidden,
 )
+from ullage.processing.likelihood.folding import folded
 from ullage.processing.likelihood.lying import cut_sigma, in_plane
 from ullage.processing.likelihood.silence import Silence, without_surfaces
 from ullage.processing.likelihood.spec import LikelihoodSpec
@@ -35,8 +36,6 @@ MOST_HALF_M, MOST_BEND = 0.5, 2.0  # of the piece of a surface that one echo sho
 LEAST_RADIUS_M = 0.25  # of a round surface
 DOUBT = 0.3  # standard deviations of the curvature by which that piece is narrowed
 FLOWN_M, FLOWN_SHARE = 0.1, 0.3  # a surface whose specular points lie so near to the track, so many of them, is false
-FOLD_M, FOLD_RAD, FOLD_SHARE = 0.06, np.radians(4.0), 0.5  # how well a folded echo fits, and for how many
-FOLD_REACH_M = 1.0  # along a surface, from where it was seen to where a folded echo comes from
 LEAST_FLATNESS = 0.1  # of edges and poles, whose own law differs
 FULL_PERCENT, FULL_REACH_M = 90.0, 0.7  # level of a surface without obstacles, near one place of the track
 LEAST_FULL = 0.5  # share of that over the whole track which it has at least
@@ -217,9 +216,10 @@ def _views(
     seen = [one for surface in surfaces for one in surface.sightings.values()]
     owner = np.repeat(np.arange(len(surfaces)), [len(one.sightings) for one in surfaces])
     place, level = np.array([one.position for one in seen]), np.array([one.level for one in seen])
-    folded = _folded(place, state, owner, fold_m)[owner]
-    level[folded] *= 1 + fold_m / state[folded, 0]
-    state[folded, 0] += fold_m
+    unit = np.stack([np.cos(state[:, 1]), np.sin(state[:, 1])], axis=1)
+    far = folded(place, unit, state[:, 0], owner, fold_m)[owner]
+    level[far] *= 1 + fold_m / state[far, 0]
+    state[far, 0] += fold_m
     weight = np.minimum(np.array([one.nats for one in seen]) / FULL_NATS, 1.0)
     rows, cut = _cut(_Rows(place, state, sigma, owner, level, weight), surfaces, grid, spec)
     place, state, sigma, owner, level, weight = rows
@@ -322,28 +322,3 @@ def _flown_through(views: Views, owner: Longs, flown: Floats) -> Bools:
         point = views.position + range_m[:, None] * unit + (share * views.half_m)[:, None] * along
         near |= tree.query(point)[0] < FLOWN_M
     return np.asarray(np.bincount(owner, near) / np.bincount(owner) > FLOWN_SHARE)
-
-
-def _folded(place: Floats, state: Floats, owner: Longs, fold_m: float) -> Bools:
-    """Whether echoes of each surface (s) are those of another one, farther by the unambiguous range.
-
-    The test is local: near the place that a folded echo comes from, the other surface must have been seen, at the same
-    distance and with the same normal. A long surface is known better there than from its state at a single place.
-
-    Args:
-        place: (k, 2) of the keyframes [m].
-        state: (k, 4) of the echoes.
-        owner: (k) surface of each.
-        fold_m: unambiguous range [m].
-    """
-    unit = np.stack([np.cos(state[:, 1]), np.sin(state[:, 1])], axis=1)
-    point = place + state[:, :1] * unit
-    origin = point + fold_m * unit
-    near = cKDTree(point).query_ball_point(origin, FOLD_REACH_M)
-    echo = np.repeat(np.arange(len(near)), [len(one) for one in near])
-    other = np.fromiter(chain.from_iterable(near), np.int64, len(echo))
-    apart = np.abs(np.sum((point[other] - origin[echo]) * unit[echo], axis=1))
-    parallel = np.sum(unit[other] * unit[echo], axis=1) > np.cos(FOLD_RAD)
-    fits = (owner[other] != owner[echo]) & parallel & (apart < FOLD_M)
-    same = np.bincount(echo, fits, len(owner)) > 0
-    return np.asarray(np.bincount(owner, same) / np.bincount(owner) > FOLD_SHARE)

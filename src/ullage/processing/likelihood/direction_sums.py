@@ -23,13 +23,13 @@ class DirectionSums:
 
     def __init__(self, directions: Floats, turn: Callable[..., None] = turn_rows) -> None:
         self.directions, self._turn = directions, turn
-        self._offset = np.zeros((0, 3))
+        self._turned = np.zeros((0, 4))
 
     def begin(self, aperture: Aperture) -> None:
         """Take another aperture."""
         rows, bins = aperture.samples.shape[:2]
         count = len(self.directions)
-        self._aperture, self._offset = aperture, np.zeros((0, 3))
+        self._aperture, self._turned = aperture, np.zeros((0, 4))
         self._turns = Turns(
             self.directions,
             np.zeros(count, np.int64),
@@ -51,14 +51,15 @@ class DirectionSums:
             return
         count = len(self.directions)
         chunk = min(max(CHUNK * len(self._peak) // (high - low), 1), count)
-        moved = not np.array_equal(self._offset, self._aperture.offset)
+        now = np.column_stack([self._aperture.offset, self._aperture.late[self._aperture.sensor]])
+        moved = not np.array_equal(self._turned, now)
         for start in range(0, count, chunk):
             stop = min(start + chunk, count)
             if moved:
                 self._turn(self._aperture, 0.0, start, stop, self._turns)
             sum_turned(self._aperture, self._turns, 0.0, start, stop, low, high, self.energy)
             yield
-        self._offset = self._aperture.offset.copy()
+        self._turned = now
         find_peaks(self.energy, low, high, self._peak, self._where)
 
     def strongest(self, floor: Floats | float, low: int, high: int) -> tuple[float, int, int]:

@@ -20,6 +20,7 @@ from ullage.kernels.directed_sums import Patterns, gains_toward, refine_directio
 from ullage.kernels.matched_sums import LEAST_GAIN
 from ullage.processing.likelihood.direction_sums import DirectionSums
 from ullage.processing.likelihood.echoes import FAR_END_M, LEAST_ROWS, MOST_COHERENCE, SAME_RANGE_M
+from ullage.processing.likelihood.folding import unfold
 from ullage.processing.likelihood.keyframes import Keyframe
 from ullage.processing.likelihood.poses import AperturePoses, EchoPhases, MountErrors, PoseErrors, range_sigma
 from ullage.processing.likelihood.spec import LikelihoodSpec
@@ -37,8 +38,8 @@ class DirectedEchoes:
 
     position: Floats  # (3) of the keyframe [m]
     track: Floats  # (3) unit vector along the aperture
-    patterns: Patterns  # of the sensors
-    rows: Floats  # (s) frames of each sensor
+    patterns: Patterns  # of the radars
+    rows: Floats  # (r) frames of each radar
     silent: Singles  # (b) energy that an echo must explain to be found, in each bin
     start_m: float  # range of bin 0
     bin_m: float
@@ -47,7 +48,7 @@ class DirectedEchoes:
     covariance: Floats  # (e, 5, 5)
     coherence: Floats  # (e) share of the energy that the echo explains
     nats: Floats  # (e) log-likelihood ratio against independent samples
-    amplitude: Floats  # (e, s) at each sensor
+    amplitude: Floats  # (e, r) at each radar
     energy: Floats  # (e) that the echo explains
 
     def __len__(self) -> int:
@@ -122,15 +123,19 @@ class DirectionFinder:
 
         Args:
             key: the keyframe; its samples change.
-            cubes: (s, 6, m, m) one-way amplitude gains of the sensors.
+            cubes: (r, 6, m, m) one-way amplitude gains of the radars.
             known: (k, 5) states of known surfaces as seen from its place. A known surface explains an echo unless
                 another hypothesis explains clearly more of it.
         """
         spec, aperture, noise = self._spec, key.aperture, key.noise**2
-        bins, sensors = aperture.samples.shape[1], len(aperture.axes)
+        bins, radars = aperture.samples.shape[1], key.radar[-1] + 1
         low, high = key.silent_bin, bins - int(FAR_END_M / key.bin_m)
         track = _track_of(aperture.offset, aperture.sensor)
-        floor, found, patterns = np.ones(bins), list[_Echo](), Patterns(cubes, np.ascontiguousarray(key.turns))
+        floor, found, patterns = (
+            np.ones(bins),
+            list[_Echo](),
+            Patterns(cubes[key.radar], np.ascontiguousarray(key.turns)),
+        )
         if len(aperture.offset) >= LEAST_ROWS and low < high:
             self.mount_errors.expect(aperture, key.mount_sigma_m / key.bin_m)
             poses, samples = AperturePoses(aperture), aperture.samples.copy()
@@ -146,12 +151,13 @@ class DirectionFinder:
         silent = np.full(bins, np.inf, np.float32)
         silent[low:high] = floor[low:high] * spec.least_snr * noise
         return DirectedEchoes(
-            key.position, track, patterns, np.bincount(aperture.sensor, minlength=sensors).astype(float), silent,
+            key.position, track, Patterns(cubes[:radars], np.ascontiguousarray(key.turns[key.first])),
+            np.bincount(key.radar[aperture.sensor], minlength=radars).astype(float), silent,
             key.start_m, key.bin_m, key.noise,
             np.array([one.state for one in found]).reshape(-1, 5),
             np.array([one.covariance for one in found]).reshape(-1, 5, 5),
             np.array([one.coherence for one in found]), np.array([one.nats for one in found]),
-            np.array([one.amplitude for one in found]).reshape(-1, sensors), np.array([one.energy for one in found]),
+            np.array([one.amplitude for one in found]).reshape(-1, radars), np.array([one.energy for one in found]),
         )  # fmt: skip
 
     def _clean(
@@ -167,14 +173,19 @@ class DirectionFinder:
             if best <= spec.least_snr * noise:
                 break
             found = self._refined(seen, np.array([*sums.directions[d], 0.0, k]))
+            mine = seen._replace(key=unfold(key, found.sums, partial(self._explained, seen, found.fit)))
+            if mine.key is not key:
+                found = self._refined(mine, found.fit[2:])
             if first and not out and key.aperture.phase:
-                self._learn(seen, found.fit)
-            found, echo = self._explain(seen, found, (floor[k] - 1) * noise)
+                self._learn(mine, found.fit)
+            found, echo = self._explain(mine, found, (floor[k] - 1) * noise)
             out.append(echo)
-            at = int(found.fit[6])
-            sums.sum(max(at - reach, low), min(at + reach, high))
-            pulse = np.exp(-0.5 * ((np.arange(bins) - found.fit[6]) / key.pulse) ** 2)
-            floor[:] = np.maximum(floor, 1 + spec.model_error * pulse * found.fit[0] / max(noise, 1e-30))
+            places = found.fit[6] + np.unique(key.aperture.late)
+            key.aperture.late[:] = 0.0
+            for at in places.tolist():
+                sums.sum(max(int(at) - reach, low), min(int(at) + reach, high))
+                pulse = np.exp(-0.5 * ((np.arange(bins) - at) / key.pulse) ** 2)
+                floor[:] = np.maximum(floor, 1 + spec.model_error * pulse * found.fit[0] / max(noise, 1e-30))
             yield
         return out
 
@@ -225,6 +236,10 @@ class DirectionFinder:
                 best, nats = other, self._nats(key, other.fit) + self._spec.known_nats
         return best
 
+    def _explained(self, seen: _Aperture, fit: Floats) -> float:
+        """Energy that a fit explains with the delays of the aperture."""
+        return float(self._fitted(seen, fit[2:], AS_IT_IS).fit[0])
+
     def _fitted(self, seen: _Aperture, start: Floats, steps: tuple[float, float, float, float]) -> _Hypothesis:
         """Search about a start (5), with first steps in degrees along and round the track, 1/m and bins."""
         key, sums, fit = seen.key, np.zeros((len(seen.key.aperture.axes), 3)), np.zeros(7)
@@ -251,7 +266,8 @@ class DirectionFinder:
         covariance += np.diag([spec.range_sigma_m**2, bearing, bearing, bearing, spec.curvature_sigma**2])
         state = np.array([key.start_m + key.bin_m * fit[6], *unit, fit[5] / key.bin_m])
         nats = (weight > LEAST_GAIN**2).sum() * -math.log(1 - coherence)
-        amplitude = np.hypot(sums[:, 0], sums[:, 1]) / np.maximum(sums[:, 2], 1)
+        total = key.of_radars(sums)
+        amplitude = np.hypot(total[:, 0], total[:, 1]) / np.maximum(total[:, 2], 1)
         return _Echo(state, np.asarray(covariance, float), coherence, nats, amplitude, float(fit[0]))
 
 

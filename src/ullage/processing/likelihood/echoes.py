@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 from dataclasses import dataclass
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from ullage.arrays import Floats
 from ullage.kernels.matched_sums import LEAST_GAIN, Aperture, refine, subtract
 from ullage.processing.likelihood.direction_sums import DirectionSums
+from ullage.processing.likelihood.folding import unfold
 from ullage.processing.likelihood.keyframes import Keyframe
 from ullage.processing.likelihood.lying import lying_share
 from ullage.processing.likelihood.poses import AperturePoses, EchoPhases, MountErrors, PoseErrors, range_sigma
@@ -145,20 +147,25 @@ class EchoFinder:
                 break
             start = np.array([self._level[d], self._bearing[d], 0.0, k, 0.0])
             start, fit, sums = self._refined(key, start, known)
+            seen = unfold(key, sums, partial(self._explained, key, fit))
+            if seen is not key:
+                start, fit, sums = self._refined(seen, start, known)
             lead = 0.0
             if start[0] > 0:
-                fit, sums, lead = self._led(key, fit, sums, strongest=not out)
+                fit, sums, lead = self._led(seen, fit, sums, strongest=not out)
             if first and not out and aperture.phase:
-                self._learn(key, poses, start, fit)
-                if k >= key.silent_bin:  # an own echo comes from no direction
+                self._learn(seen, poses, start, fit)
+                if k >= key.silent_bin and seen is key:  # an own echo comes from no direction
                     self._learn_mounts(key, k)
-            fit, echo = self._explain(key, poses, (fit, sums), (floor[k] - 1) * noise)
+            fit, echo = self._explain(seen, poses, (fit, sums), (floor[k] - 1) * noise)
             if start[0] > 0:
                 out.append((*echo, lead))
-            at = int(fit[4])
-            self._sums.sum(max(at - reach, low), min(at + reach, high))
-            pulse = np.exp(-0.5 * ((np.arange(bins) - fit[4]) / key.pulse) ** 2)
-            floor = np.maximum(floor, 1 + spec.model_error * pulse * fit[0] / max(noise, 1e-30))
+            places = fit[4] + np.unique(aperture.late)
+            aperture.late[:] = 0.0
+            for at in places.tolist():
+                self._sums.sum(max(int(at) - reach, low), min(int(at) + reach, high))
+                pulse = np.exp(-0.5 * ((np.arange(bins) - at) / key.pulse) ** 2)
+                floor = np.maximum(floor, 1 + spec.model_error * pulse * fit[0] / max(noise, 1e-30))
             yield
         level = slice(spec.directions)
         self.left = Left(self._sums.directions[level], self._sums.energy[level], floor * max(noise, 1e-30), low, high)
@@ -189,7 +196,7 @@ class EchoFinder:
         _, d, k = self._sums.strongest(1.0, low, high)
         fit, sums = self._fitted(key, np.array([self._level[d], self._bearing[d], 0.0, k, 0.0]), COARSE)
         if fit[0] > LEAST_CLEAR * fit[1]:
-            self.mount_errors.learn(gains_of(aperture, _unit(fit[5], fit[2])), sums)
+            self.mount_errors.learn(gains_of(aperture, _unit(fit[5], fit[2]))[key.first], key.of_radars(sums))
         aperture.together[0] = together
         self._sums.sum(low, high)
 
@@ -243,6 +250,10 @@ class EchoFinder:
             if nats > best_nats:
                 best, best_nats = (rival, fit, sums), nats
         return best
+
+    def _explained(self, key: Keyframe, fit: Floats) -> float:
+        """Energy that a fit explains with the delays of the aperture."""
+        return float(self._fitted(key, np.array([fit[5], *fit[2:5], fit[6]]), AS_IT_IS)[0][0])
 
     def _led(self, key: Keyframe, fit: Floats, sums: Floats, *, strongest: bool) -> tuple[Floats, Floats, float]:
         """Compare an echo's direction with all others on the ring about the track.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from ullage.antenna import boresight_pattern
-from ullage.arrays import Floats
+from ullage.arrays import Floats, Longs
 from ullage.data import Frames
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels.matched_sums import GAIN_CELLS, Aperture
@@ -24,6 +24,7 @@ LATEST_NS = 10_000_000_000  # a sensor that lags by more is not waited for
 NEVER_NS = -(2**62)
 GAP_NS = 1_000_000_000  # without frames of the leading sensor, after which another one leads
 NORMAL_MAD = 1.4826  # standard deviation of normal noise over its median absolute deviation
+BEATS = 16  # frames over which the time from frame to frame is averaged
 COS_TURN = math.cos(math.radians(3.0))  # a frame counts after such a turn, too
 
 
@@ -38,6 +39,7 @@ class Row:
     samples: NDArray[np.complex64]  # (b) baseband
     noise: float  # amplitude of the noise in one bin
     gap_ns: int  # since the frame before it
+    second: bool  # it has the second of two pulse intervals, or the first: which one is not known
 
 
 @dataclass(slots=True, eq=False)
@@ -52,10 +54,23 @@ class Channel:
     own_m: float  # range that the own echo may cover: silence there shows nothing
     mount_sigma: tuple[float, float]  # of the position [m] and the boresight [rad]
     pulse_m: float  # standard deviation of the pulse's envelope
+    folds_m: tuple[float, ...]  # unambiguous ranges of its pulse intervals, which alternate from frame to frame
     rows: deque[Row] = field(default_factory=deque)
     seen_ns: int = NEVER_NS  # time of its last frame
     waited_ns: int = 0  # longest time without a frame since the last row
     led_ns: int = NEVER_NS  # time of the last row with which it led: it does not lead with that again
+    beat_ns: float = 0.0  # time from frame to frame
+    second: bool = False  # of its last frame, as of `Row`
+
+    def count(self, t_ns: int) -> None:
+        """Take the time of another frame; those that were lost count, too."""
+        since_ns = t_ns - self.seen_ns
+        if self.seen_ns > NEVER_NS and since_ns > 0:
+            self.beat_ns = self.beat_ns or since_ns
+            frames = max(round(since_ns / self.beat_ns), 1)
+            self.beat_ns += (since_ns / frames - self.beat_ns) / BEATS
+            self.second ^= len(self.folds_m) == 2 and frames % 2 == 1
+        self.seen_ns = t_ns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +89,21 @@ class Keyframe:
     pulse: float  # standard deviation of the pulse's envelope [bin]
     wavelength_m: float
     turns: Floats  # (s, 3, 3) world from sensor, of each sensor's frame nearest in time; zeros without one
+    radar: Longs  # (s) number of the radar: one with two pulse intervals is two sensors
+    interval: Longs  # (s) 0 or 1 of these; -1 with one only
+    folds: tuple[float, float]  # ranges from which echoes fold, with each of two pulse intervals [bin]
     t_ns: int
+
+    @property
+    def first(self) -> Longs:
+        """The first sensor (r) of each radar."""
+        return np.unique(self.radar, return_index=True)[1]
+
+    def of_radars(self, sums: Floats) -> Floats:
+        """Sums (r, k) over the sensors of each radar, of sums (s, k) of sensors."""
+        out = np.zeros((self.radar[-1] + 1, sums.shape[1]))
+        np.add.at(out, self.radar, sums)
+        return out
 
 
 class KeyframeSelector:
@@ -104,13 +133,15 @@ class KeyframeSelector:
         axes = turns[:, :, 0]
         for i in range(len(part)):
             gap_ns = int(part.t_ns[i]) - channel.seen_ns if channel.seen_ns > NEVER_NS else 0
-            gap_ns, channel.seen_ns = max(gap_ns, channel.waited_ns), int(part.t_ns[i])
+            gap_ns = max(gap_ns, channel.waited_ns)
+            channel.count(int(part.t_ns[i]))
             channel.waited_ns = gap_ns
             if any(self._is_near(row, path.position[i], axes[i]) for row in reversed(channel.rows)):
                 continue
             samples = np.asarray(part.samples[i])
             samples, noise = self._above_noise(samples, channel) if channel.envelope else (samples, _noise(samples))
-            row = Row(channel.seen_ns, path.position[i], axes[i], turns[i], _upsampled(samples), noise, gap_ns)
+            given = path.position[i], axes[i], turns[i], _upsampled(samples), noise, gap_ns, channel.second
+            row = Row(channel.seen_ns, *given)
             channel.rows.append(row)
             channel.waited_ns = 0
 
@@ -194,17 +225,26 @@ class KeyframeSelector:
     def _keyframe(self, centre: Row, first_ns: int, last_ns: int) -> Keyframe:
         channels = list(self._channels.values())
         leader = self._channels[self._leading]
+        radar = np.repeat(np.arange(len(channels)), [len(channel.folds_m) for channel in channels])
+        two = np.bincount(radar)[radar] == 2
+        interval = np.where(two, np.append(False, radar[1:] == radar[:-1]), -1)
+        folds_m = max((channel.folds_m for channel in channels), key=len)
         picked = [
-            (s, row) for s, channel in enumerate(channels) for row in channel.rows if first_ns <= row.t_ns <= last_ns
+            (s, row)
+            for s, (of, which) in enumerate(zip(radar.tolist(), interval.tolist(), strict=True))
+            for row in channels[of].rows
+            if first_ns <= row.t_ns <= last_ns and row.second == (which == 1)
         ]
-        samples = np.stack([_on_axis(row.samples, channels[s], leader, len(centre.samples)) for s, row in picked])
+        samples = np.stack(
+            [_on_axis(row.samples, channels[radar[s]], leader, len(centre.samples)) for s, row in picked]
+        )
         place = _middle(channels, centre.t_ns)
         offset = np.stack([row.position - place for _, row in picked]) / leader.bin_m
-        axes = np.zeros((len(channels), 3))
+        axes = np.zeros((len(radar), 3))
         for s, row in picked:
             axes[s] += row.axis
         axes /= np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-12)
-        gains = np.stack([channel.gains for channel in channels])
+        gains = np.stack([channel.gains for channel in channels])[radar]
         phase = 0.0 if leader.envelope else 4 * np.pi / leader.wavelength_m * leader.bin_m
         pairs = np.ascontiguousarray(np.stack([samples.real, samples.imag], axis=-1), np.float32)
         moment = np.unique([row.t_ns for _, row in picked], return_inverse=True)[1]
@@ -212,7 +252,9 @@ class KeyframeSelector:
         blind_m = max(channel.own_m if channel.envelope else min(channel.own_m, BLIND_M) for channel in channels)
         return Keyframe(
             place,
-            Aperture(pairs, offset, sensor, axes, gains, phase, moment, np.zeros((3, 3)), np.ones(1)),
+            Aperture(
+                pairs, offset, sensor, axes, gains, phase, moment, np.zeros((3, 3)), np.ones(1), np.zeros(len(radar))
+            ),
             leader.start_m,
             leader.bin_m,
             float(np.median([row.noise for _, row in picked])),
@@ -222,7 +264,10 @@ class KeyframeSelector:
             max(channel.mount_sigma[1] for channel in channels),
             leader.pulse_m / leader.bin_m,
             leader.wavelength_m,
-            np.stack([_nearest(one, centre.t_ns).turn if one.rows else np.zeros((3, 3)) for one in channels]),
+            np.stack([_nearest(one, centre.t_ns).turn if one.rows else np.zeros((3, 3)) for one in channels])[radar],
+            radar,
+            interval,
+            (folds_m[0] / leader.bin_m, folds_m[-1] / leader.bin_m),
             centre.t_ns,
         )
 
@@ -250,7 +295,9 @@ def _channel_of(part: Frames) -> Channel:
     pulse_m = spec.pulse_sigma_s * C0 / 2
     start_m, envelope = float(part.range_m[0]), not np.iscomplexobj(part.samples)
     mount = spec.mount.position_sigma_m, math.radians(spec.mount.angle_sigma_deg)
-    return Channel(start_m, step / UPSAMPLING, gains, spec.wavelength_m, envelope, spec.own_echo_m, mount, pulse_m)
+    given = start_m, step / UPSAMPLING, gains, spec.wavelength_m, envelope, spec.own_echo_m, mount, pulse_m
+    fold_m, other = spec.unambiguous_range_m, (spec.stagger_div or spec.prf_div) / spec.prf_div
+    return Channel(*given, (fold_m,) if other == 1 else (fold_m, other * fold_m))
 
 
 def _upsampled(samples: NDArray[np.inexact]) -> NDArray[np.complex64]:

@@ -105,7 +105,8 @@ class LikelihoodMapper:
                 allowed="samples with phase of all sensors, or amplitudes of all",
             )
         self._wavelength_m = self._wavelength_m or part.spec.wavelength_m
-        self._fold_m = part.spec.unambiguous_range_m
+        staggered = part.spec.stagger_div not in (None, part.spec.prf_div)
+        self._fold_m = np.inf if staggered else part.spec.unambiguous_range_m  # the keyframes have true ranges
         if part.spec.wavelength_m != self._wavelength_m:
             raise InputError(
                 f"its carrier differs from the other sensors' ({part.spec.center_hz:g} Hz)",

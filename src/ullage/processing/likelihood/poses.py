@@ -170,7 +170,7 @@ class AperturePoses:
             lying: whether it bends in the vertical plane through its direction only.
         """
         aperture = self._aperture
-        delay = delays(aperture.offset, unit, curvature, lying=lying)
+        delay = delays(aperture.offset, unit, curvature, lying=lying) + aperture.late[aperture.sensor]
         at = np.clip(delay + place, 0, aperture.samples.shape[1] - 1.001)
         low, row = at.astype(int), np.arange(len(at))
         share = (at - low)[:, None]
