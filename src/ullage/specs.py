@@ -309,6 +309,10 @@ class RadarSpec(Spec):
         None, ge=4, le=255, description="prf_div of every second frame: folded echoes then change place; none: prf_div"
     )
     duty: float = Field(0.95, gt=0, le=1)
+    integration_s: float = Field(
+        0.0, ge=0, le=1, description="time about its stamp over which a simulated frame is averaged, in motion; 0: an "
+        "instant; an X4 takes its sweeps_s"
+    )  # fmt: skip
     noise: NoiseSpec | None = NoiseSpec()
     mount: MountSpec = MountSpec()
     thesis: ThesisSpec = ThesisSpec()
@@ -424,7 +428,12 @@ class RadarSpec(Spec):
     @property
     def max_fps(self) -> float:
         """Highest frame rate these settings allow [Hz] [NoveldaXTAN13]."""
-        return self.prf_hz * self.duty / (self.counts * (self.dac_max - self.dac_min + 1))
+        return self.duty / self.sweeps_s
+
+    @property
+    def sweeps_s(self) -> float:
+        """Time in which an X4 sums the pulses of all DAC steps of a frame [s] [NoveldaXTAN13]."""
+        return self.counts * (self.dac_max - self.dac_min + 1) / self.prf_hz
 
     @property
     def pulse_sigma_s(self) -> float:

@@ -78,6 +78,7 @@ def explain(
 
     `explain(frames, i)` takes frames as `simulate` gave them, or pieces of them; `explain(frames, i, scene=scene)`
     those of a recording, by their true poses where they hold them; `explain(scene, path, radar, i)` the body's path.
+    Of a radar with an `integration_s` they are those at the frame's stamp.
 
     Args:
         scene_or_frames: the world, or frames seen in it.
