@@ -62,9 +62,8 @@ class LiveRadars:
     def look_at(self, scene: Scene) -> None:
         """See another world from the next frame on; clock and noise go on."""
         old = self._work
-        self._work = Receiving(
-            scene, Rig(sensors=self.sensors), fidelity=old.fidelity, max_bounces=old.max_bounces, seed=old.seed
-        )
+        rig = Rig(sensors=self.sensors, body=old.body)
+        self._work = Receiving(scene, rig, fidelity=old.fidelity, max_bounces=old.max_bounces, seed=old.seed)
 
     def reset(self) -> None:
         """Begin anew, as after a clock that jumped: the next pose is the first."""

@@ -33,6 +33,7 @@ class EchoModel(Protocol):
 
     unit: Unit  # of the samples
     forks: bool  # whether copies of this process are worth it, because much of the work holds Python's lock
+    own_body: bool  # whether scenes may hold the parts of the radars' own body (`radar.own_body`)
 
     def sensor(self, spec: RadarSpec) -> RadarSpec:
         """Return the radar as this model simulates it: its range axis may be longer."""
@@ -56,6 +57,7 @@ class Physical:
 
     unit: Unit = "path_gain"
     forks = True
+    own_body = True
 
     def __init__(self, scene: Scene, max_bounces: int, seed: int) -> None:
         self.scene, self.max_bounces, self.seed = scene, max_bounces, seed
@@ -98,10 +100,11 @@ def _of_interval(spec: RadarSpec, prf_div: int) -> RadarSpec:
 
 
 class Rays:
-    """Amplitudes of the ray model of 2018 (`radar.rays`); it knows no bounces."""
+    """Amplitudes of the ray model of 2018 (`radar.rays`); it knows neither bounces nor the radars' own body."""
 
     unit: Unit = "thesis"
     forks = False
+    own_body = False
 
     def __init__(self, scene: Scene, max_bounces: int, seed: int) -> None:
         self.scene, self.caster = scene, Raycaster(scene, wires=True)
