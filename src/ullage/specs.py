@@ -497,7 +497,9 @@ class Rig(Spec):
     """Several radars on one body, by name, and what they see of that body."""
 
     sensors: dict[str, RadarSpec] = Field(min_length=1)
-    body: BodySpec | None = Field(None, description="what the radars see of the drone itself; none: nothing")
+    body: BodySpec | None = Field(
+        None, description="what the radars see of the drone itself, by the physical law; none: nothing"
+    )
 
     presets: ClassVar[tuple[str, ...]] = ("thesis-4", "thesis-4-down", "thesis-ring", "single")
 
