@@ -26,8 +26,8 @@ from ullage.cli import app
 GROUPS = {
     "Worlds and flights": ["load_scene", "Scene", "scenes", "worlds", "Waypoints", "fly", "fly_log", "explore",
                            "navigate", "Trajectory", "ImuSpec", "simulate_imu", "simulate_height"],
-    "Radars": ["RadarSpec", "Rig", "MountSpec", "AntennaSpec", "NoiseSpec", "ThesisSpec", "simulate", "LiveRadars",
-               "Receiver", "explain"],
+    "Radars": ["RadarSpec", "Rig", "MountSpec", "AntennaSpec", "NoiseSpec", "ThesisSpec", "BodySpec", "RotorSpec",
+               "BoxSpec", "simulate", "LiveRadars", "Receiver", "explain"],
     "Data": ["Frames", "Detections", "Grid", "Image", "OccupancyMap", "Metric", "Imu", "Height"],
     "Processing": ["detect", "focus", "map_occupancy", "calibrate", "own_echo", "ObstacleStage", "ObstacleSectors",
                    "Guard", "GuardSpec", "odometry", "Odometry", "metrics", "figures"],

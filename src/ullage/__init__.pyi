@@ -44,10 +44,13 @@ from ullage.radar.live import LiveRadars as LiveRadars
 from ullage.radar.receiver_fit import Receiver as Receiver
 from ullage.radar.simulate import simulate as simulate
 from ullage.specs import AntennaSpec as AntennaSpec
+from ullage.specs import BodySpec as BodySpec
+from ullage.specs import BoxSpec as BoxSpec
 from ullage.specs import MountSpec as MountSpec
 from ullage.specs import NoiseSpec as NoiseSpec
 from ullage.specs import RadarSpec as RadarSpec
 from ullage.specs import Rig as Rig
+from ullage.specs import RotorSpec as RotorSpec
 from ullage.specs import ThesisSpec as ThesisSpec
 from ullage.view import figures as figures
 from ullage.world import scenes as scenes

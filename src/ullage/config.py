@@ -14,7 +14,7 @@ from pydantic_core import PydanticCustomError, PydanticUndefined
 
 from ullage import plugins
 from ullage.errors import InputError, shown
-from ullage.specs import MOST_BOUNCES, RadarSpec, Rig, Spec
+from ullage.specs import MOST_BOUNCES, BodySpec, RadarSpec, Rig, Spec
 from ullage.untrusted import compose_yaml, load_yaml, read_yaml, reason
 
 DetectMethod = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean", "track"]
@@ -144,6 +144,12 @@ class SensingSpec(Spec):
     )
     preset: str = Field("x4m05", description="a radar as `ullage list` names them, or a YAML file of one")
     changes: dict[str, Any] = Field({}, description="fields of the radar to change, e.g. {iterations: 32}")
+    body: BodySpec | None = Field(
+        None,
+        description="what they see of the drone itself, by the physical law; none: nothing, else {rotors: "
+        "[{position_m: [x, y, z], radius_m: 0.127, chord_m: 0.02, pitch_deg: 15, blades: 2, rate_hz: 80, yaw_deg: 0, "
+        "material: metal}], boxes: [{position_m: [x, y, z], size_m: [x, y, z], yaw_deg: 0}]}",
+    )
     fidelity: Fidelity = "physical"
     max_bounces: int = Field(1, ge=1, le=MOST_BOUNCES)
     rate_hz: float | None = Field(None, gt=0, le=1000, description="frames per second; none: the radar's own fps")
@@ -159,9 +165,10 @@ class SensingSpec(Spec):
         Raises:
             InputError: a field is unknown, or a value out of bounds.
         """
-        if not self.changes:
+        if not self.changes and self.body is None:
             return rig
-        return Rig(sensors={name: spec.but(**self.changes) for name, spec in rig.sensors.items()})
+        sensors = {name: spec.but(**self.changes) for name, spec in rig.sensors.items()}
+        return rig.but(sensors=sensors, body=self.body or rig.body)
 
     def radars(self) -> Rig:
         """The rig these settings describe, if it is a preset.
@@ -169,7 +176,7 @@ class SensingSpec(Spec):
         Raises:
             InputError: a preset or a field is unknown, or a value out of bounds.
         """
-        return Rig.preset(self.rig, radar=RadarSpec.preset(self.preset, **self.changes))
+        return Rig.preset(self.rig, radar=RadarSpec.preset(self.preset, **self.changes)).but(body=self.body)
 
 
 class DetectSpec(Spec):

@@ -14,7 +14,7 @@ from ullage.arrays import Floats, Longs, Singles
 from ullage.display import Displayed, plots
 from ullage.errors import InputError, shown
 from ullage.geometry import C0, matrix_quat, quat_matrix, rotations, rpy_quat
-from ullage.specs import RadarSpec, ThesisSpec
+from ullage.specs import BodySpec, RadarSpec, ThesisSpec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -319,6 +319,7 @@ class SimulatedFrom:
     scene: Any  # the Scene, which is of a higher layer
     max_bounces: int
     seed: int
+    body: BodySpec | None = None  # what the radars saw of the drone itself
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -309,6 +309,10 @@ class RadarSpec(Spec):
         None, ge=4, le=255, description="prf_div of every second frame: folded echoes then change place; none: prf_div"
     )
     duty: float = Field(0.95, gt=0, le=1)
+    integration_s: float = Field(
+        0.0, ge=0, le=1, description="time about its stamp over which a simulated frame is averaged, in motion; 0: an "
+        "instant; an X4 takes its sweeps_s"
+    )  # fmt: skip
     noise: NoiseSpec | None = NoiseSpec()
     mount: MountSpec = MountSpec()
     thesis: ThesisSpec = ThesisSpec()
@@ -424,7 +428,12 @@ class RadarSpec(Spec):
     @property
     def max_fps(self) -> float:
         """Highest frame rate these settings allow [Hz] [NoveldaXTAN13]."""
-        return self.prf_hz * self.duty / (self.counts * (self.dac_max - self.dac_min + 1))
+        return self.duty / self.sweeps_s
+
+    @property
+    def sweeps_s(self) -> float:
+        """Time in which an X4 sums the pulses of all DAC steps of a frame [s] [NoveldaXTAN13]."""
+        return self.counts * (self.dac_max - self.dac_min + 1) / self.prf_hz
 
     @property
     def pulse_sigma_s(self) -> float:
@@ -443,10 +452,54 @@ def _ring(count: int, first_names: tuple[str, ...], radius_m: float) -> dict[str
     }
 
 
+class RotorSpec(Spec):
+    """A propeller of flat blades that turns evenly about the body's z axis."""
+
+    position_m: Vector = Field(description="of the hub on the body (FLU)")
+    radius_m: float = Field(0.127, gt=0, le=5)
+    chord_m: float = Field(0.02, gt=0, le=1, description="width of a blade")
+    pitch_deg: float = Field(15.0, ge=0, le=90, description="angle of the blades to the plane in which they turn")
+    blades: int = Field(2, ge=1, le=12)
+    rate_hz: float = Field(ge=-1000, le=1000, description="turns a second, above zero to the left seen from above")
+    yaw_deg: float = Field(0.0, description="direction of the first blade at the time 0")
+    material: str = Field("metal", description="carbon fibre echoes as metal; plastic is 3 mm thick")
+
+
+class BoxSpec(Spec):
+    """A box on the body that hides what is behind it and has no echo of its own."""
+
+    position_m: Vector = Field(description="of its centre on the body (FLU)")
+    size_m: Vector = Field(description="edges along x, y, z before the turn")
+    yaw_deg: float = 0.0
+
+    @field_validator("size_m")
+    @classmethod
+    def _has_size(cls, value: Vector) -> Vector:
+        if min(value) <= 0:
+            raise ValueError("each edge must be above zero")
+        return value
+
+    def holds(self, place_m: Vector) -> bool:
+        """Whether a place on the body lies in the box."""
+        yaw, (x, y, z) = math.radians(self.yaw_deg), np.subtract(place_m, self.position_m)
+        across = (math.cos(yaw) * x + math.sin(yaw) * y, math.cos(yaw) * y - math.sin(yaw) * x, z)
+        return all(abs(gap) <= edge / 2 for gap, edge in zip(across, self.size_m, strict=True))
+
+
+class BodySpec(Spec):
+    """What the radars see of the drone that carries them."""
+
+    rotors: tuple[RotorSpec, ...] = Field((), max_length=32)
+    boxes: tuple[BoxSpec, ...] = Field((), max_length=64)
+
+
 class Rig(Spec):
-    """Several radars on one body, by name."""
+    """Several radars on one body, by name, and what they see of that body."""
 
     sensors: dict[str, RadarSpec] = Field(min_length=1)
+    body: BodySpec | None = Field(
+        None, description="what the radars see of the drone itself, by the physical law; none: nothing"
+    )
 
     presets: ClassVar[tuple[str, ...]] = ("thesis-4", "thesis-4-down", "thesis-ring", "single")
 
@@ -482,7 +535,15 @@ class Rig(Spec):
         Args:
             rays: of the ring; None: those that each radar's settings name, else as dense as its own fan.
         """
-        return Rig(sensors={name: _section(spec, rays) for name, spec in self.sensors.items()})
+        return self.but(sensors={name: _section(spec, rays) for name, spec in self.sensors.items()})
+
+    @model_validator(mode="after")
+    def _radars_are_outside(self) -> Self:
+        for name, spec in self.sensors.items():
+            for k, box in enumerate(self.body.boxes if self.body else ()):
+                if box.holds(spec.mount.position_m):
+                    raise ValueError(f"radar {name!r} lies in box {k} of the body (allowed: outside)")
+        return self
 
 
 def _section(spec: RadarSpec, rays: int | None) -> RadarSpec:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from studies.thesis import flights
-from studies.thesis.motion import blind_speed_m_s, fly_at, integration_s, loss_db
+from studies.thesis.motion import blind_speed_m_s, fly_at, loss_db
 from studies.thesis.workspace import Workspace
 from ullage.arrays import Floats
 from ullage.config import MapMethod
@@ -202,7 +202,7 @@ def tabulate(
     ]
     work.results.add_table(
         "A wire ahead, 6 to 3 m away", ("speed [m/s]", "loss by the law [dB]", "frames that detect it"), ahead,
-        note=f"One frame integrates {1e3 * integration_s(spec):.1f} ms; blind at {blind_speed_m_s(spec):.3f} m/s.",
+        note=f"One frame integrates {1e3 * spec.sweeps_s:.1f} ms; blind at {blind_speed_m_s(spec):.3f} m/s.",
     )  # fmt: skip
     rounds = [
         (f"{v:g}", f"{spacing(spec, v):.2f}", *(f"{scores[m].value[k]:.3f}" for m in scores))

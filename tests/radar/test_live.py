@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import ullage as ul
 from ullage.data import joined
+from ullage.world.moving import LiveMotion
 
 ROOM = ul.scenes.room(size_m=(6, 4, 3))
 RIG = ul.Rig.preset("thesis-4")
@@ -45,6 +48,32 @@ def test_frames_are_those_of_simulate_where_poses_and_frames_fall_together() -> 
     assert len(live) == len(path)
     assert np.array_equal(live.t_ns, flown.t_ns)
     assert np.allclose(live.samples, flown.samples, atol=1e-6)
+
+
+def test_frames_that_are_summed_do_not_depend_on_how_poses_and_objects_were_bunched() -> None:
+    spec = ul.RadarSpec.preset("x4m05", noise=None, integration_s=0.05)
+    path = ul.Trajectory.line((-1, 0, 0), (-0.7, 0, 0), 0.5, 50.0)
+    plate = ul.scenes.plate(1, 1, 2.0)
+
+    def flown(cuts: list[int]) -> ul.Frames:
+        motion = LiveMotion((0, 0, 0), (0, 0, 0, 1))
+        scene = replace(plate, objects=(replace(plate.objects[0], motion=motion),))
+        live, found = ul.LiveRadars(scene, spec), []
+        for rows in np.split(np.arange(len(path)), cuts):
+            for k in rows:
+                motion.see(int(path.t_ns[k]), (0.1 * np.sin(k), 0, 0), (0, 0, 0, 1))
+            found.append(live.advance(path.t_ns[rows], path.position[rows], path.quat_xyzw[rows]))
+        live.close()
+        return joined([part["radar"] for part in found if part])
+
+    whole = flown([])
+    assert whole.t_ns[-1] <= path.t_ns[-1] - 25e6 < whole.t_ns[-1] + 1e9 / spec.fps
+    for cuts in (list(range(1, len(path))), [2, 3, 11]):
+        parts = flown(cuts)
+        assert np.array_equal(parts.t_ns, whole.t_ns)
+        assert np.array_equal(parts.samples, whole.samples)
+    instant = ul.simulate(plate, path, spec.but(integration_s=0))
+    assert abs(whole.samples).max() < 0.9 * abs(instant.samples).max()
 
 
 def test_a_pose_between_two_lies_on_the_line_and_the_arc() -> None:

@@ -155,6 +155,7 @@ class CosimulationSource(UnboundedSource):
         self._publish = isinstance(options, CosimulationOptions) and options.publish
         self._radars = options.radars(scene, rig)
         self._fastest_hz = options.rate_hz or max(spec.fps for spec in rig.sensors.values())
+        self._frame_ns = round(max(spec.integration_s for spec in rig.sensors.values()) * 1e9)
         self._scene = DynamicScene(scene)
         self._waiting: deque[Stamped[ModelPose] | OtherModels] = deque()
         self._early: deque[OtherModels] = deque(maxlen=100)  # beyond a step of the clock that no pose confirms yet
@@ -163,7 +164,7 @@ class CosimulationSource(UnboundedSource):
         self._done_ns = -1  # frames exist up to this time
         self._gap = False  # the last poses were left out
         middle = np.tile(scene.bounds.mean(0), (2, 1))
-        frame_ns = round(1e9 / self._fastest_hz)  # a second frame: it may have another pulse interval
+        frame_ns = round(1e9 / self._fastest_hz) + self._frame_ns  # a second frame: it may have another pulse interval
         self.trial = self._radars.advance([0, frame_ns], middle, np.tile((0.0, 0.0, 0.0, 1.0), (2, 1)))
         """Frames of before the first pose: making and using them loads and compiles while nobody waits."""
         self._radars.reset()
@@ -185,7 +186,7 @@ class CosimulationSource(UnboundedSource):
             [pose.item.quat_xyzw for pose in poses],
         )
         self._done_ns = poses[-1].t_ns
-        self._scene.forget(self._done_ns)
+        self._scene.forget(self._done_ns - self._frame_ns)
         self._log_if_behind()
         self._report_status(found)
         if found:

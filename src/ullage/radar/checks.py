@@ -12,6 +12,7 @@ import numpy as np
 from ullage.arrays import Bools, Floats, Longs
 from ullage.data import Trajectory
 from ullage.errors import UllageWarning
+from ullage.radar.facets import only
 from ullage.radar.folding import warn_of_folding
 from ullage.radar.prepared import Prepared, prepare
 from ullage.specs import RadarSpec
@@ -38,11 +39,12 @@ def check(scene: Scene, path: Trajectory, sensors: Mapping[str, RadarSpec]) -> N
         _warn(_meshes(scene), scene.name)
     for spec in {s.name: s for s in sensors.values()}.values():
         warn_of_folding(spec)
-    if len(scene.faces) and len(path):
+    others = only(scene, ~world.own[scene.face_object])
+    if len(others.faces) and len(path):
         step = max(1, len(path) // _POSES)
         for name, spec in sensors.items():
             at = path[::step].mounted(spec.mount.body_from_sensor())
-            _warn(_places(world, at.position, at.t_ns, name), scene.name)
+            _warn(_places(others, at.position, at.t_ns, name), scene.name)
 
 
 def _warn(lines: list[str], where: str) -> None:
@@ -111,9 +113,9 @@ def _edges(tri: Longs) -> _Edges:
     return _Edges(int(((count == 2) & (up != 1)).sum()), len(alone), np.unique(np.r_[alone // wide, alone % wide]))
 
 
-def _places(world: Prepared, position: Floats, t_ns: Longs, name: str) -> list[str]:
+def _places(scene: Scene, position: Floats, t_ns: Longs, name: str) -> list[str]:
     """Describe poses of a sensor inside a body or too near to a surface."""
-    rays = Raycaster(world.scene)
+    rays = Raycaster(scene)
     around = np.concatenate([np.eye(3), -np.eye(3)])
     start = np.repeat(position, len(around), axis=0)
     face, distance = rays.hits(start, np.tile(around, (len(position), 1)), t_ns=np.repeat(t_ns, len(around)))
@@ -122,13 +124,13 @@ def _places(world: Prepared, position: Floats, t_ns: Longs, name: str) -> list[s
     near = distance.min(initial=np.inf)
     if near < NEAREST_M:
         k = int(distance.argmin())
-        thing = world.scene.objects[rays.owner[face[k]]].name
+        thing = scene.objects[rays.owner[face[k]]].name
         out.append(f"sensor {name!r} comes within {abs(near) * 1e3:.0f} mm of {thing!r}, nearer than a wave; its "
                    "echoes there are rough")  # fmt: skip
-    solid = _solids(world.scene)
+    solid = _solids(scene)
     owner = np.where(met, rays.owner[np.maximum(face, 0)].reshape(met.shape), -1)
     inside = met.all(1) & (owner == owner[:, :1]).all(1) & solid[np.maximum(owner[:, 0], 0)]
-    return out + [f"sensor {name!r} is inside {world.scene.objects[k].name!r}: it sees its inner side"
+    return out + [f"sensor {name!r} is inside {scene.objects[k].name!r}: it sees its inner side"
                   for k in np.unique(owner[inside, 0])]  # fmt: skip
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ullage.antenna import cube
 from ullage.arrays import Bools, Complexes, Floats, Ints
+from ullage.data import Trajectory
 from ullage.geometry import C0
 from ullage.kernels import facets as kernel
 from ullage.kernels.bounces import Mirrors
@@ -30,6 +31,7 @@ from ullage.kernels.facets import (
 from ullage.radar.diffraction import OutlineSet, nowhere, outlines_of
 from ullage.radar.echo_set import EchoSet, centroids, echo_set
 from ullage.radar.facets import PlanarPatches, Surfaces
+from ullage.radar.own_body import carried
 from ullage.radar.penetration import Transmissive, reflection_tables, transmissive_of
 from ullage.radar.prepared import Prepared, prepare
 from ullage.radar.pulse import Pulse, tabulate
@@ -100,6 +102,11 @@ class RadarContext:
     def fold_s(self) -> float:
         """Time between pulses: echoes later than this land in the next frame's start [s]."""
         return 1 / self.spec.prf_hz
+
+    def poses(self, path: Trajectory) -> Floats | list[None]:
+        """Return the poses of all objects (n, o, 4, 4) along a sensor's path (n); None for each where nothing moves."""
+        poses = self.world.poses(path.t_ns)
+        return poses if isinstance(poses, list) else carried(poses, self.world.own, path, self.spec)
 
     @property
     def reflection(self) -> Reflection:

@@ -20,6 +20,7 @@ from ullage.geometry import C0, quat_matrix
 from ullage.kernels import pulse as pulses
 from ullage.radar.context import RadarContext, antenna_pair, radar_context
 from ullage.radar.echo_set import EchoSet
+from ullage.radar.own_body import with_body
 from ullage.radar.physical import accumulate, passive, radio
 from ullage.specs import MOST_BOUNCES, RadarSpec
 from ullage.world.scene import Scene
@@ -78,6 +79,7 @@ def explain(
 
     `explain(frames, i)` takes frames as `simulate` gave them, or pieces of them; `explain(frames, i, scene=scene)`
     those of a recording, by their true poses where they hold them; `explain(scene, path, radar, i)` the body's path.
+    Of a radar with an `integration_s` they are those at the frame's stamp.
 
     Args:
         scene_or_frames: the world, or frames seen in it.
@@ -122,7 +124,7 @@ def explain(
 def _of_frames(frames: Frames, scene: Scene | None) -> tuple[Scene, Trajectory, RadarSpec]:
     track = frames.truth if frames.truth is not None else frames.poses
     if scene is None and frames.simulated is not None:
-        scene = frames.simulated.scene
+        scene = with_body(frames.simulated.scene, frames.simulated.body)
     if scene is not None and not isinstance(scene, Scene):
         raise InputError(f"scene is a {type(scene).__name__}", where="explain", allowed="a Scene")
     if scene is None or track is None:
@@ -145,7 +147,7 @@ def contributions(
     context = radar_context(scene, spec, seed=seed)
     grids = np.zeros((3, context.places), complex)
     antennas = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
-    echoes = accumulate(context, antennas, context.world.poses(pose.t_ns)[0], max_bounces, grids)
+    echoes = accumulate(context, antennas, context.poses(pose)[0], max_bounces, grids)
     rows = _rows(echoes)
     found = _alike(spec, list(_clusters(rows)))
     strongest = sorted(found, key=lambda c: -np.abs(c.total) * _landing(context, c)[2])[:count]

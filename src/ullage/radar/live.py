@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +16,7 @@ from ullage.radar.receiving import Fidelity, Receiving
 from ullage.radar.warmup import warm_up
 from ullage.radar.worker_pool import cores
 from ullage.specs import RadarSpec, Rig
-from ullage.world.moving import between
+from ullage.world.moving import Poses, between
 from ullage.world.scene import Scene
 
 
@@ -23,7 +24,8 @@ class LiveRadars:
     """Simulates radars along poses that arrive one by one or in bunches.
 
     Frame k of a radar is due at k / fps after the first pose, by the poses' own clock; its pose lies between the two
-    that came before and after it. So the frames do not depend on how the poses were bunched.
+    that came before and after it. So the frames do not depend on how the poses were bunched. A radar with an
+    `integration_s` gives a frame once half of that has passed since its stamp.
 
     Args:
         scene: the world.
@@ -60,14 +62,13 @@ class LiveRadars:
     def look_at(self, scene: Scene) -> None:
         """See another world from the next frame on; clock and noise go on."""
         old = self._work
-        self._work = Receiving(
-            scene, Rig(sensors=self.sensors), fidelity=old.fidelity, max_bounces=old.max_bounces, seed=old.seed
-        )
+        rig = Rig(sensors=self.sensors, body=old.body)
+        self._work = Receiving(scene, rig, fidelity=old.fidelity, max_bounces=old.max_bounces, seed=old.seed)
 
     def reset(self) -> None:
         """Begin anew, as after a clock that jumped: the next pose is the first."""
         self._first_ns: int | None = None
-        self._last: tuple[Longs, Floats, Floats] | None = None
+        self._known: Poses | None = None  # from the last one on that frames not yet given may need
         self._given = dict.fromkeys(self.sensors, 0)
 
     def skip(self, t_ns: int) -> int:
@@ -84,7 +85,7 @@ class LiveRadars:
             count = len(self._due(name, t_ns - 1))
             self._given[name] += count
             left_out += count
-        self._last = None
+        self._known = None
         return left_out
 
     def advance(self, t_ns: ArrayLike, position: ArrayLike, quat_xyzw: ArrayLike) -> dict[str, Frames]:
@@ -98,42 +99,47 @@ class LiveRadars:
         Raises:
             InputError: the clock does not rise (`reset` first), or a pose is no pose; nothing of it is taken in then.
         """
-        poses = self._with_last(*_checked(t_ns, position, quat_xyzw))
+        poses = self._with_known(*_checked(t_ns, position, quat_xyzw))
         jobs, bodies = {}, dict[bytes, Trajectory]()
-        for name in self.sensors:
+        for name, spec in self.sensors.items():
             first = self._given[name]
-            due = self._due(name, int(poses[0][-1]))
+            due = self._due(name, int(poses[0][-1]) - round(spec.integration_s * 5e8))
             if len(due):
                 self._given[name] = first + len(due)
                 body = bodies.get(due.tobytes()) or between(poses, due)  # radars of one rate share it
                 bodies[due.tobytes()] = body
                 jobs[name] = self._pool.submit(self._work.samples, name, body, first_frame=first), body
+        oldest = min(self._stamp(name, self._given[name]) for name in self.sensors)
+        kept = max(int(np.searchsorted(poses[0], oldest, side="right")) - 1, 0)
+        self._known = poses[0][kept:], poses[1][kept:], poses[2][kept:]
         return {name: self._work.frames(name, job.result(), body) for name, (job, body) in jobs.items()}
 
     def close(self) -> None:
         """Let go of the threads."""
         self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def _with_last(self, t_ns: Longs, position: Floats, quat: Floats) -> tuple[Longs, Floats, Floats]:
+    def _with_known(self, t_ns: Longs, position: Floats, quat: Floats) -> Poses:
         poses = (t_ns, position, quat)
-        if self._last is not None:
-            before = self._last
+        if self._known is not None:
+            before = self._known
             poses = tuple(np.concatenate(pair) for pair in zip(before, poses, strict=True))  # type: ignore[assignment]
         if np.any(np.diff(poses[0]) <= 0):
             raise InputError("the clock of the poses does not rise", where="advance", allowed="reset() after a jump")
         if self._first_ns is None:
             self._first_ns = int(t_ns[0])
-        self._last = (poses[0][-1:], poses[1][-1:], poses[2][-1:])
         return poses
 
     def _due(self, name: str, now_ns: int) -> NDArray[np.int64]:
-        """Longs of the frames not yet given that lie no later than the last pose."""
-        start = self._first_ns or 0
-        rate = self._rate_hz[name]
-        count = int((now_ns - start) * 1e-9 * rate) + 2  # one too many at most; cut by the clock below
+        """Return the stamps of the frames not yet given that are no later than a time [ns]."""
+        elapsed_s = (now_ns - self._stamp(name, 0)) * 1e-9
+        count = int(elapsed_s * self._rate_hz[name]) + 2  # one too many at most; cut by the clock below
         number = np.arange(self._given[name], max(count, self._given[name]), dtype=np.int64)
-        times: NDArray[np.int64] = start + np.rint(number * (1e9 / rate)).astype(np.int64)
+        times = self._stamp(name, number)
         return np.asarray(times[times <= now_ns], np.int64)
+
+    def _stamp(self, name: str, number: Any) -> Any:
+        """Return the time of a radar's frame of a number, or of some (n) [ns]."""
+        return (self._first_ns or 0) + np.rint(number * (1e9 / self._rate_hz[name])).astype(np.int64)
 
 
 def _checked(t_ns: ArrayLike, position: ArrayLike, quat_xyzw: ArrayLike) -> tuple[Longs, Floats, Floats]:

@@ -7,7 +7,7 @@ To add one, write a class as `EchoModel` and list it here, or in another package
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +16,7 @@ from ullage import plugins
 from ullage.data import Samples, Trajectory, Unit
 from ullage.errors import InputError
 from ullage.fan import reaching_max_range
+from ullage.radar.integration import integrated
 from ullage.radar.rays import echoes_thesis
 from ullage.radar.receiver import receive, receive_thesis
 from ullage.specs import RadarSpec
@@ -26,11 +27,13 @@ from ullage.world.scene import Scene
 class EchoModel(Protocol):
     """What the radars of one body receive in one world; made by `Model(scene, max_bounces, seed)`.
 
-    Frame k must depend on its own pose, time and number alone, so that a track cut anywhere gives the same bits.
+    Frame k must depend on its own pose, velocities, time and number alone, so that a track cut anywhere gives the same
+    bits.
     """
 
     unit: Unit  # of the samples
     forks: bool  # whether copies of this process are worth it, because much of the work holds Python's lock
+    own_body: bool  # whether scenes may hold the parts of the radars' own body (`radar.own_body`)
 
     def sensor(self, spec: RadarSpec) -> RadarSpec:
         """Return the radar as this model simulates it: its range axis may be longer."""
@@ -54,6 +57,7 @@ class Physical:
 
     unit: Unit = "path_gain"
     forks = True
+    own_body = True
 
     def __init__(self, scene: Scene, max_bounces: int, seed: int) -> None:
         self.scene, self.max_bounces, self.seed = scene, max_bounces, seed
@@ -73,7 +77,8 @@ class Physical:
         from ullage.radar.physical import echoes
 
         def along(path: Trajectory, one: RadarSpec) -> Samples:
-            return echoes(self.scene, path, one, max_bounces=self.max_bounces, seed=self.seed)
+            return integrated(partial(echoes, self.scene, spec=one, max_bounces=self.max_bounces, seed=self.seed),
+                              path, one, self.scene, bounces=self.max_bounces)  # fmt: skip
 
         clean: Samples
         if spec.stagger_div is None:
@@ -95,10 +100,11 @@ def _of_interval(spec: RadarSpec, prf_div: int) -> RadarSpec:
 
 
 class Rays:
-    """Amplitudes of the ray model of 2018 (`radar.rays`); it knows no bounces."""
+    """Amplitudes of the ray model of 2018 (`radar.rays`); it knows neither bounces nor the radars' own body."""
 
     unit: Unit = "thesis"
     forks = False
+    own_body = False
 
     def __init__(self, scene: Scene, max_bounces: int, seed: int) -> None:
         self.scene, self.caster = scene, Raycaster(scene, wires=True)
@@ -112,7 +118,7 @@ class Rays:
 
     def samples(self, truth: Trajectory, spec: RadarSpec, *, seed: int, first_frame: int) -> Samples:
         """Smoothed amplitudes with noise."""
-        clean = echoes_thesis(self.scene, truth, spec, caster=self.caster)
+        clean = integrated(partial(echoes_thesis, self.scene, spec=spec, caster=self.caster), truth, spec, self.scene)
         return receive_thesis(clean, spec, seed=seed, first_frame=first_frame)
 
 

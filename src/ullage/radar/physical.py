@@ -76,7 +76,7 @@ def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int 
     """
     checks.whole("max_bounces", max_bounces, "echoes", low=1, high=MOST_BOUNCES)
     context = radar_context(scene, spec, seed=seed)
-    turns, poses = quat_matrix(path.quat_xyzw), context.world.poses(path.t_ns)
+    turns, poses = quat_matrix(path.quat_xyzw), context.poses(path)
     out = np.zeros((len(path), spec.bins), complex)
     for i in range(len(path)):
         grids = np.zeros((3, context.places), complex)
@@ -277,7 +277,7 @@ def path_gain_cw(
         edges: whether edges and creeping waves are added; without, the plain integral of physical optics.
     """
     context = radar_context(scene, _carrier_only(spec, frequency_hz or spec.center_hz), edges=edges)
-    turns, poses = quat_matrix(pose.quat_xyzw), context.world.poses(pose.t_ns)
+    turns, poses = quat_matrix(pose.quat_xyzw), context.poses(pose)
     out = np.zeros(len(pose), complex)
     for i in range(len(pose)):
         grids = np.zeros((3, context.places), complex)

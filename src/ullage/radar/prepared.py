@@ -14,6 +14,7 @@ from ullage.geometry import invert
 from ullage.radar.diffraction import sharp_edges
 from ullage.radar.facets import Surfaces, gather, only
 from ullage.radar.movers import Movers
+from ullage.radar.own_body import of_body
 from ullage.radar.patches import Patches, patches_of
 from ullage.radar.quadrics import Quadric, SmoothSurface, quadrics_of, rods_of, smooth_surfaces_of, walls_of, with_caps
 from ullage.radar.spheres import Sphere, balls_of, spheres_of
@@ -30,6 +31,7 @@ class Prepared:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         moves = np.array([o.motion is not None for o in scene.objects], bool)
+        self.own = of_body(scene)
         self.moving = moves[scene.face_object] if len(scene.faces) else np.zeros(0, bool)
         self.still = gather(scene, ~self.moving)
         self.materials = tuple(o.material for o in scene.objects)
@@ -130,7 +132,10 @@ class Prepared:
         )
 
     def poses(self, t_ns: Longs) -> Floats | list[None]:
-        """Return the poses of all objects (n, o, 4, 4) at times (n) [ns]; None for each where nothing moves."""
+        """Return the poses of all objects (n, o, 4, 4) at times (n) [ns]; None for each where nothing moves.
+
+        Those of parts of the radars' own body are in the body's frame.
+        """
         return self.scene.poses(t_ns) if any(o.motion is not None for o in self.scene.objects) else [None] * len(t_ns)
 
     def parts(self, poses: Floats | None = None) -> list[Surfaces]:

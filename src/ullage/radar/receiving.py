@@ -10,6 +10,7 @@ from ullage import checks
 from ullage.data import Frames, Samples, SimulatedFrom, Trajectory
 from ullage.errors import InputError
 from ullage.radar.models import echo_model
+from ullage.radar.own_body import with_body
 from ullage.specs import MOST_BOUNCES, RadarSpec, Rig
 from ullage.world.scene import Scene
 
@@ -35,11 +36,13 @@ class Receiving:
         self, scene: Scene, radar: RadarSpec | Rig, *, fidelity: Fidelity, max_bounces: int, seed: int
     ) -> None:
         _check(scene, radar, max_bounces, seed)
-        self.model = echo_model(fidelity)(scene, max_bounces, seed)
+        body, model = radar.body if isinstance(radar, Rig) else None, echo_model(fidelity)
+        self.body = body if getattr(model, "own_body", False) else None
+        self.model = model(with_body(scene, self.body), max_bounces, seed)
         sensors = radar.sensors if isinstance(radar, Rig) else {"radar": radar}
         self.sensors = {name: self.model.sensor(spec) for name, spec in sensors.items()}
         self.scene, self.fidelity, self.max_bounces, self.seed = scene, fidelity, max_bounces, seed
-        self._made = SimulatedFrom(scene, max_bounces, seed)
+        self._made = SimulatedFrom(scene, max_bounces, seed, self.body)
         self._paths: dict[str, tuple[Trajectory, Trajectory]] = {}  # of body and radar, as last asked for
 
     def samples(self, name: str, body: Trajectory, *, first_frame: int = 0) -> Samples:

@@ -1,6 +1,6 @@
 """What each radar of a body receives along a track, by one of the echo models.
 
-Every frame depends on its own pose, time and number alone, so a track cut anywhere gives the same bits.
+Every frame depends on its own pose, velocities, time and number alone, so a track cut anywhere gives the same bits.
 """
 
 from __future__ import annotations
