@@ -269,7 +269,7 @@ class EchoFinder:
             flat[3] *= lying_share(fit[5], float(track @ _unit(1.0, fit[2])))
         ring = ring_of(track, fit[5], fit[2])
         by_sensor = gains_of(aperture, ring)
-        gains, loudest = by_sensor.max(axis=1), int(np.argmax(by_sensor[0]))
+        gains, loudest = by_sensor.max(axis=1), loudest_of(by_sensor[0], sums)
         rivals = rivals_of(aperture, flat, ring)
         level = math.hypot(sums[loudest, 0], sums[loudest, 1]) / max(sums[loudest, 2], 1)
         level *= key.start_m + key.bin_m * fit[4]
@@ -341,7 +341,7 @@ class EchoFinder:
         sigma = range_sigma(key, unit, coherence, self._spec) / gain[active]  # the noise of all sensors is alike
         if lying:
             curvature *= float(lying_share(cosine, float(track_of(aperture) @ ahead)))
-        loudest = int(np.argmax(gains))
+        loudest = loudest_of(gains, sums)
         mean = math.hypot(sums[loudest, 0], sums[loudest, 1]) / max(sums[loudest, 2], 1)
         range_m = key.start_m + key.bin_m * place
         state = np.array([range_m, bearing, curvature / key.bin_m, cosine])
@@ -377,6 +377,16 @@ def _unit(cosine: float, bearing: float) -> Floats:
     if cosine > 0:
         return np.array([cosine * math.cos(bearing), cosine * math.sin(bearing), 0.0])
     return np.array([0.0, 0.0, math.copysign(1.0, bearing)])
+
+
+def loudest_of(gains: Floats, sums: Floats) -> int:
+    """The sensor that faces a direction best, of those whose rows reach the echo's range.
+
+    Args:
+        gains: (s) in the direction.
+        sums: (s, 3) as of `refine`.
+    """
+    return int(np.argmax(np.where(sums[:, 2] > 0, gains, -1.0)))
 
 
 def gains_of(aperture: Aperture, units: Floats) -> Floats:
