@@ -356,7 +356,7 @@ def _posed(poses: str | None) -> list[str]:
 
 def repair(source: str) -> bool:
     """Finish a recording that a kill left unfinished; whether there was one."""
-    from ullage.ports.repair import repair_bag
+    from ullage.ports.bag import repair_bag
     from ullage.view.progress import log
 
     if done := repair_bag(source):

@@ -214,10 +214,7 @@ class Loop:
                 break
             if progress is not None and row % 20 == 0:
                 progress(row / (longest_s * self.rate_hz))
-        flown, thought = strung(truths), strung(beliefs)
-        if flown is None or thought is None:  # narrows the type; every pose is known
-            raise ValueError("no poses")
-        return GuardedFlight(flown, thought, frames, steps, self.contacts, follower.arrived)
+        return GuardedFlight(strung(truths), strung(beliefs), frames, steps, self.contacts, follower.arrived)
 
     def steps(self, pilot: Pilot, start: Floats, *, longest_s: float) -> Iterator[Flown]:
         """Fly step by step: the pilot's velocity, limited by the guard, holds until the next step.

@@ -181,7 +181,7 @@ def _hovering(flown: Trajectory, hover_s: float, rate_hz: float) -> Trajectory:
     held = Trajectory(
         flown.t_ns[-1] + more, still + flown.position[-1], np.tile(flown.quat_xyzw[-1], (len(more), 1)), still, still
     )
-    return strung([flown, held]) or flown
+    return strung([flown, held])
 
 
 def waypoints_of(flight: FlightSpec, world: WorldSpec, scene: Scene) -> tuple[tuple[float, ...], ...]:

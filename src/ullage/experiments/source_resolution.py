@@ -539,5 +539,5 @@ def _track(source: Any) -> Trajectory | None:
     """The poses of the first sensor, all of them."""
     first = next(iter(source.stream()))
     name = next(iter(first))
-    paths = [chunk[name].poses for chunk in source.stream() if name in chunk]
+    paths: list[Trajectory | None] = [chunk[name].poses for chunk in source.stream() if name in chunk]
     return strung(paths)

@@ -161,9 +161,9 @@ class PathFlown:
         """Encode the path if it is due."""
         wait_s = max(1.0, len(self._points) / PATH_POINTS_PER_S)
         due = self._sent_ns is None or abs(t_ns - self._sent_ns) >= wait_s * 1e9 or final
-        if due and t_ns != self._sent_ns and self._points and (flown := strung(self._points)) is not None:
+        if due and t_ns != self._sent_ns and self._points:
             self._sent_ns = t_ns
-            yield on("path", t_ns, encode.path_message(flown))
+            yield on("path", t_ns, encode.path_message(strung(self._points)))
 
 
 class Publisher:
