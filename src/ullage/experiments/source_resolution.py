@@ -13,7 +13,7 @@ import numpy as np
 
 from ullage.arrays import Floats
 from ullage.config import Scenario, Task, is_set_by, make_scenario, run_name, split_source
-from ullage.data import Frames, Trajectory, gathered, strung
+from ullage.data import Frames, Trajectory, gathered, sensors_of, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
 from ullage.experiments.folder import RunFolder
@@ -255,7 +255,10 @@ def _of_recording(
     tree: dict[str, Any] = {} if rail is None else {"map": known}
     if any(part.track is not None for part in first.values()):
         floor_z_m = make_scenario(tree | {"name": "any", "do": ["detect"]}, options=options).map.floor_z_m
-        source = InMemorySource(_on_one_clock(source, log, floor_z_m, None if survey is None else survey.places))
+        log("finding clock and range offsets")
+        places = None if survey is None else survey.places
+        parts = [_calibrated(part, log, floor_z_m, places) for part in sensors_of(source.frames())]
+        source = InMemorySource({part.sensor: part for part in parts})
         first = next(source.stream())
     placed = all(part.poses is not None for part in first.values())
     seen = make_scenario({"name": "any", "do": ["detect"]}, options=options)
@@ -292,7 +295,7 @@ def _odometry(source: Any, scenario: Scenario, target: str) -> RadarPoses:
     return RadarPoses(body, seed=scenario.seed, source="recorded track", captured=True)
 
 
-class _Begun:
+class Begun:
     """A live source, closed at its end; where its first piece is waited for, that is given first, then the rest."""
 
     def __init__(self, source: Any, *, wait: bool) -> None:
@@ -354,7 +357,7 @@ def _begun(
         if plan(()).flight.poses == "radar":
             raise InputError("live frames keep their poses", where=place, allowed="flight.poses navigation")
         wait = tasks != ()
-        begun = _Begun(source, wait=wait)
+        begun = Begun(source, wait=wait)
         if wait and not begun.first:
             raise InputError("no frames came", where=place)
         flown = next((part.poses for part in begun.first.values() if part.poses is not None), None)
@@ -476,19 +479,8 @@ def _controls(by: str, scenario: Scenario, log: Callable[[str], None]) -> Contro
     return controls
 
 
-def _on_one_clock(
-    source: Any, report: Callable[[str], None], floor_z_m: float | None, places: Floats | None
-) -> dict[str, Frames]:
-    """Calibrate the radar's clock and zero range against the track, and report the result."""
-    from ullage.data import sensors_of
-
-    report("finding clock and range offsets")
-    parts = [_calibrated(part, report, floor_z_m, places) for part in sensors_of(source.frames())]
-    return {part.sensor: part for part in parts}
-
-
 def _calibrated(part: Frames, report: Callable[[str], None], floor_z_m: float | None, places: Floats | None) -> Frames:
-    """Calibrate one sensor, by surveyed reflectors where there are any.
+    """Calibrate clock and zero range of one sensor against the track, by surveyed reflectors where there are any.
 
     Without them, where the floor's echo contradicts the range offset, calibrate once more with the floor as prior.
     """

@@ -35,7 +35,8 @@ def verdict(
     """
     words, metrics = [_offsets(frames)], [Metric("scatterers", len(scatterers))]
     if frames.calibration is not None:
-        along_m = frames.calibration.t_sigma_s * _speed_m_s(frames)
+        speed_m_s = float(np.sqrt((frames.believed.rates[0] ** 2).sum(1).mean()))  # root mean square
+        along_m = frames.calibration.t_sigma_s * speed_m_s
         range_m = frames.calibration.range_sigma_m
         metrics.append(Metric("offset_shift", float(np.hypot(along_m, range_m)), "m"))
         words.append(
@@ -88,11 +89,6 @@ def _on_path(frames: Frames, omap: OccupancyMap, scatterers: Sequence[Scatterer]
 def _occupied(omap: OccupancyMap) -> Floats:
     """Centres of the occupied cells (k, dims) [m]."""
     return cell_centres(omap.grid, np.flatnonzero(omap.occupied))[:, : omap.grid.dims]
-
-
-def _speed_m_s(frames: Frames) -> float:
-    """Root mean square of the speed along the track [m/s]."""
-    return float(np.sqrt((frames.believed.rates[0] ** 2).sum(1).mean()))
 
 
 def _offsets(frames: Frames) -> str:

@@ -55,12 +55,6 @@ def in_order(message: Message) -> tuple[int, bool]:
     return message.t_ns, message.topic != "/clock"
 
 
-def stamps_of(parts: list[Frames]) -> list[int]:
-    """Return the distinct times of frames in ascending order [ns]."""
-    times: list[int] = np.unique(np.concatenate([part.t_ns for part in parts])).tolist()
-    return times
-
-
 def is_present(t_ns: int) -> bool:
     """Return whether a stamp is near the present: such a stream needs no /clock, and no message waits for a stamp."""
     return abs(time.time() - t_ns * 1e-9) < PRESENT_S
@@ -214,7 +208,8 @@ class Publisher:
         if isinstance(item, Frames | Mapping):
             parts = sensors_of(item)
             found = self._of_frames(parts)
-            found += [tick for t_ns in stamps_of(parts) for tick in self._clock.until(t_ns)]
+            times = np.unique(np.concatenate([part.t_ns for part in parts])).tolist()
+            found += [tick for t_ns in times for tick in self._clock.until(t_ns)]
         elif isinstance(item, Trajectory):
             self._roles.add(role)
             found = self._begin(int(item.t_ns[0])) + list(self._of_body(item, role))

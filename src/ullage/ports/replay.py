@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ullage.data import Frames, Trajectory, joined
-from ullage.errors import DamageWarning, InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions
 from ullage.ports import schema as ros
@@ -96,9 +96,7 @@ class McapSource(Recording):
         for mine in waiting.values():
             mine.stream.finish()
         yield from self._made(waiting, counters)
-        damaged = counters.dropped("bad") > 0
-        for line in counters.lines():
-            warnings.warn(f"{self.path}: {line}", DamageWarning if damaged else UllageWarning, stacklevel=2)
+        self._warn_of_dropped(counters)
 
     def _sensor(self, data: bytes, waiting: dict[str, Waiting], counters: Counters) -> Waiting | None:
         """What waits of the sensor that a message names; None where it cannot be read."""

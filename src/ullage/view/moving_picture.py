@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ullage.arrays import Floats, Ints
+from ullage.arrays import Floats
 from ullage.errors import InputError, UllageError
 from ullage.files import write_whole
 from ullage.geometry import quat_matrix
@@ -181,7 +181,7 @@ class _Show:
         mine = np.flatnonzero(box)
         if not len(mine):
             return
-        hit, near = _hits(self._camera.eye, self._rays[mine], corners)
+        hit, near = _caster(corners).hits(np.broadcast_to(self._camera.eye, (len(mine), 3)), self._rays[mine])
         mine, near = mine[hit >= 0], near[hit >= 0]
         mine = mine[near < depth[mine]]
         color[mine] = (1 - BEAM_ALPHA) * color[mine] + BEAM_ALPHA * _rgb(radar.color)
@@ -356,10 +356,6 @@ def _cast(eye: Floats, rays: Floats, solids: list[_Solid]) -> tuple[Colors, Floa
         if not len(left):
             break
     return color, depth
-
-
-def _hits(eye: Floats, rays: Floats, corners: Floats) -> tuple[Ints, Floats]:
-    return _caster(corners).hits(np.broadcast_to(eye, rays.shape), rays)
 
 
 def _caster(corners: Floats) -> Raycaster:

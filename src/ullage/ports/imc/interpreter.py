@@ -292,14 +292,12 @@ def _fields_in(entries: tuple[Entry, ...], given: Mapping[str, Any]) -> dict[str
         if value is None:
             continue
         if entry.how == "each":
-            out[entry.args[0]] = tuple(_inner(entry.args[1], one) for one in value)
+            field_name, kind = entry.args
+            parts = PAIRS[kind].rows[0].parts[0].entries
+            out[field_name] = tuple(make(kind, **_fields_in(parts, one)) for one in value)
         elif (back := CONVERSIONS[entry.how].back) is not None:
             out |= back(value, entry.args)
     return out
-
-
-def _inner(kind: str, given: Mapping[str, Any]) -> Message:
-    return make(kind, **_fields_in(PAIRS[kind].rows[0].parts[0].entries, given))
 
 
 def _entry(text: str, name: str) -> Entry:

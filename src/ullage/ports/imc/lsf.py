@@ -192,7 +192,8 @@ class LsfSink(Sink):
             self._last_ns = message.t_ns
             self._put(message.message, message.entity)
         if time.monotonic() - self._flushed_s > FLUSH_EVERY_S:
-            self._flush()
+            self._flushed_s = time.monotonic()
+            self._file.flush()
 
     def _enter(self, entity: Entity) -> None:
         self._new.append(entity)
@@ -203,10 +204,6 @@ class LsfSink(Sink):
             self._file.write(encode(Packet(message, t_s, self._options.system_id, entity)))
         except OSError as error:
             raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
-
-    def _flush(self) -> None:
-        self._flushed_s = time.monotonic()
-        self._file.flush()
 
     def close(self) -> None:
         """Finish the log."""
