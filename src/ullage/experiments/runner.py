@@ -30,9 +30,15 @@ from ullage.experiments.verdict import verdict
 from ullage.flow import Stage
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import LOGGER, DetectStage, ImageStage, MapStage, Outcome, Sink, Source, run
+from ullage.processing.metrics import map_quality, worst_moment
 from ullage.processing.obstacles import ObstacleStage
+from ullage.processing.own_echo import without_own_echo
+from ullage.processing.truth import NoSurfaceError
+from ullage.radar.explain import explain
 from ullage.stop_signals import raise_if_stopped
+from ullage.view import figures, report_figures
 from ullage.world.scene import Scene
+from ullage.world.section import section
 
 Log = Callable[[str], None]
 LIVE_S = 0.2
@@ -289,9 +295,6 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
 
 def _against_truth(job: Run, scene: Scene, omap: OccupancyMap, frames: dict[str, Frames]) -> list[Metric]:
     """Compare the last map with the world; note what it shows of each object."""
-    from ullage.processing.metrics import map_quality, worst_moment
-    from ullage.processing.truth import NoSurfaceError
-
     try:
         scores = map_quality(omap, scene, frames) | worst_moment(_over_flight(job, omap.grid), scene, frames)
         job.objects, job.unmapped = inspect(omap, scene, frames)
@@ -305,7 +308,6 @@ def _against_truth(job: Run, scene: Scene, omap: OccupancyMap, frames: dict[str,
 def _why_empty(job: Run, maps: Sequence[OccupancyMap]) -> list[str]:
     """Return why the last map has no occupied cell, by the frames that are kept; nothing where it has some."""
     from ullage.processing.empty_map import why_empty
-    from ullage.processing.own_echo import without_own_echo
 
     if not maps or maps[-1].occupied.any():
         return []
@@ -329,8 +331,6 @@ def _place(image: Image) -> list[Metric]:
 
 
 def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
-    from ullage.view import figures, report_figures
-
     folder, out = job.folder / "figures", []
     frames, walls = job.sampled.frames(), _walls(job.scene, _height(job))
     if pictures := job.range_time.pictures():
@@ -386,8 +386,6 @@ def _image_notes(job: Run, image: Image, frames: Mapping[str, Frames]) -> list[s
 
 
 def _snapshot(path: Path, frames: list[Frames], index: int, job: Run) -> Path:
-    from ullage.view import figures
-
     plan = job.scenario.detect
     threshold = plan.threshold or (rays.threshold if (rays := frames[0].ray_model) else None)
     t_s = float(frames[0].t_ns[index]) * 1e-9
@@ -398,7 +396,6 @@ def _snapshot(path: Path, frames: list[Frames], index: int, job: Run) -> Path:
 
 def _explained(path: Path, name: str, frames: Frames, index: int, job: Run) -> Path:
     """Return the origins of the echoes of one frame."""
-    from ullage.radar.explain import explain
     from ullage.view.explain_figure import explain_figure
 
     found = explain(frames, index, scene=job.scene, max_bounces=job.scenario.sensing.max_bounces,
@@ -409,6 +406,4 @@ def _explained(path: Path, name: str, frames: Frames, index: int, job: Run) -> P
 
 
 def _walls(scene: Scene | None, height_m: float) -> Any:
-    from ullage.world.section import section
-
     return None if scene is None else section(scene, height_m)

@@ -19,12 +19,15 @@ from ullage.experiments.catalog import families, find_scenario, scenario_names, 
 from ullage.experiments.folder import RunFolder
 from ullage.experiments.radar_poses import RadarPoses
 from ullage.experiments.run import Run, of_scenario
-from ullage.experiments.simulated import Simulated, prepare
-from ullage.pipeline import LOGGER, Sink, check_sink
+from ullage.experiments.simulated import Simulated, load_world, prepare, radars_and_world, waypoints_of
+from ullage.pipeline import LOGGER, InMemorySource, Sink, check_sink
 from ullage.pipeline import sink as open_sink
 from ullage.ports.arrays import refuse_pickle
 from ullage.ports.live import LISTED, Address
 from ullage.ports.registry import SOURCES, reads
+from ullage.ports.registry import open as open_source
+from ullage.ports.tracked import RailSource
+from ullage.processing.own_echo import without_own_echo
 from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -150,8 +153,6 @@ def _with_flight(
     scenario: Scenario, target: str, options: Sequence[str], log: Callable[[str], None]
 ) -> tuple[Scenario, Scene]:
     """Plan and report a world's default flight; return its scenario and the world, with the radars it declares."""
-    from ullage.experiments.simulated import load_world, radars_and_world, waypoints_of
-
     scene = load_world(scenario.world)
     curved = [f"{name} {share:.0%}" for name, share in scene.curved().items() if share >= 0.005]
     if curved:
@@ -240,10 +241,6 @@ def _of_recording(
     options: Sequence[str],
     log: Callable[[str], None],
 ) -> Run:
-    from ullage.pipeline import InMemorySource
-    from ullage.ports.registry import open as open_source
-    from ullage.ports.tracked import RailSource
-
     check_options(options)
     source: Any = open_source(target)
     first = next(iter(source.stream()), None)
@@ -418,7 +415,6 @@ def make_flight(
     Raises:
         InputError: the world, the start, a sink, or the source of commands cannot be used.
     """
-    from ullage.experiments.simulated import radars_and_world, waypoints_of
     from ullage.ports.by_hand import FlyOptions, HandFlownSource
 
     for sink in to:
@@ -486,7 +482,6 @@ def _calibrated(part: Frames, report: Callable[[str], None], floor_z_m: float | 
     """
     from ullage.processing.calibrate import calibrate
     from ullage.processing.floor import floor_echo
-    from ullage.processing.own_echo import without_own_echo
 
     out = calibrate(part, reflectors=places, progress=_every_tenth(report))
     _report_offsets(out, report)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ullage.arrays import Floats
 from ullage.data import Frames, Metric
@@ -127,6 +128,4 @@ def _reflector(mark: Floats, off_m: float) -> str:
 
 def _least(points: Floats, places: Floats) -> float:
     """The least distance between two sets of points; infinite where one is empty."""
-    from scipy.spatial import cKDTree
-
     return float(np.min(cKDTree(points).query(places)[0])) if len(points) and len(places) else float("inf")

@@ -21,7 +21,7 @@ from typing import Any
 
 from ullage.data import Detections, Frames, Trajectory
 from ullage.errors import InputError
-from ullage.files import write_whole
+from ullage.files import write_whole, writing
 from ullage.flow import Sink
 from ullage.grids import Image, OccupancyMap
 from ullage.ports import schema as ros
@@ -121,12 +121,10 @@ class McapSink(Sink):
             self.path = self.path / "frames.mcap"
         if self.path.exists() and not overwrite:
             raise InputError("exists already", where=self.path, allowed="a new name, or overwrite=True")
-        try:
+        with writing(self.path):
             if self.path != Path(path):
                 self.path.parent.mkdir(exist_ok=True)
             drain = Drain(self.path)
-        except OSError as error:
-            raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
         self._file: Drain | None = drain
         self._writer = mcap_writer(drain)
         self._publisher = Publisher(profile=profile)

@@ -22,6 +22,7 @@ from ullage.ports.conversions import BODY, WORLD
 from ullage.ports.protocol import Item, Passed
 from ullage.ports.rate_limiter import LEAP_S, STEP_BACK_S
 from ullage.ports.schema import TOPICS, Quality, topic_name
+from ullage.processing.detect import detect
 from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
 
@@ -272,8 +273,6 @@ class Publisher:
         yield on("/tf_static", t_ns, encode.fixed_message(t_ns, self._fixed))
 
     def _of_radar(self, frames: Frames) -> Iterator[Message]:
-        from ullage.processing.detect import detect
-
         topic, frame_id = f"radar/{topic_name(frames.sensor)}", self._prefix + frames.sensor
         yield from self._settings_messages(frames, topic, frame_id)
         start = self.counts.get(topic, 0)

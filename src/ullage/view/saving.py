@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ullage.errors import InputError
-from ullage.files import write_whole
+from ullage.files import write_whole, writing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,9 +17,7 @@ def save_figure(figure: Figure, path: Path, *, dpi: int = 110) -> Path:
     Raises:
         InputError: the folder cannot be written, or the disk is full.
     """
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror}", where=path) from None
     write_whole(path, lambda out: figure.savefig(out, dpi=dpi, format=path.suffix[1:]))
     return path

@@ -16,6 +16,8 @@ import sysconfig
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 from ullage.errors import MissingExtra, UllageError
 from ullage.ports import ament
 from ullage.ports import schema as ros
@@ -50,8 +52,6 @@ def mirror(prefix: Path, into: Path) -> Path:
 
     Everything except `share` is linked, so the environment itself stays as installed.
     """
-    import numpy as np
-
     right = {"include": sysconfig.get_paths()["include"], "lib": str(Path(np.__file__).parent.parent)}
     into.mkdir(parents=True)
     for part in prefix.iterdir():
