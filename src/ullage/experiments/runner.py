@@ -361,21 +361,19 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
 
 
 def _draw_map(job: Run, omap: OccupancyMap) -> Path:
-    from ullage.view.figures import map_figure
-
     walls = _walls(job.scene, _height(job))
-    return map_figure(job.folder / "figures" / "map.png", omap, title=job.title, walls=walls, flown=job.flown,
+    return figures.map_figure(job.folder / "figures" / "map.png", omap, title=job.title, walls=walls, flown=job.flown,
                       marks=job.marks)  # fmt: skip
 
 
 def _draw_exploration(job: Run, flight: Exploration, omap: OccupancyMap) -> Path:
-    from ullage.view.report_figures import exploration_figure
-
     pilot = flight.pilot
     goals = [(one.t_s, one.leg.kind, one.leg.goal) for one in pilot.decisions]
     upcoming = None if pilot.upcoming is None else pilot.upcoming.goal
-    return exploration_figure(job.folder / "figures" / "explore.png", omap, flight.flown, goals, title=job.title,
-                              walls=_walls(job.scene, _height(job)), upcoming=upcoming)  # fmt: skip
+    return report_figures.exploration_figure(
+        job.folder / "figures" / "explore.png", omap, flight.flown, goals, title=job.title,
+        walls=_walls(job.scene, _height(job)), upcoming=upcoming,
+    )  # fmt: skip
 
 
 def _image_notes(job: Run, image: Image, frames: Mapping[str, Frames]) -> list[str]:
@@ -396,13 +394,11 @@ def _snapshot(path: Path, frames: list[Frames], index: int, job: Run) -> Path:
 
 def _explained(path: Path, name: str, frames: Frames, index: int, job: Run) -> Path:
     """Return the origins of the echoes of one frame."""
-    from ullage.view.explain_figure import explain_figure
-
     found = explain(frames, index, scene=job.scene, max_bounces=job.scenario.sensing.max_bounces,
                     seed=job.scenario.seed)  # fmt: skip
     height = float(frames.poses.position[index, 2]) if frames.poses is not None else _height(job)
     title = f"{job.title}: frame {job.sampled.number(name, index)} of {name}, explained"
-    return explain_figure(path, frames, index, found, walls=_walls(job.scene, height), title=title)
+    return report_figures.explain_figure(path, frames, index, found, walls=_walls(job.scene, height), title=title)
 
 
 def _walls(scene: Scene | None, height_m: float) -> Any:
