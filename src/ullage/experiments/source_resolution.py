@@ -323,7 +323,7 @@ def _of_live(
     Where nothing is to be made of frames, none are waited for: a port may have only messages to pass on.
     """
     check_options(options)
-    source: Any = address.source()
+    source: Any = address.open("source")
     place = f"{address.scheme}:{address.place}"
     log(f"{'passing on what comes from' if tasks == () else 'waiting for the first frames from'} {place} (Ctrl-C ends)")
 

@@ -79,7 +79,8 @@ def open(target: str | Path, **options: Any) -> Source:
         path, options = Path(name), _written_options(str(target)) | options
     if not os.path.exists(path):
         if address := Address.of(target, **options):
-            return address.source()
+            live: Source = address.open("source")
+            return live
         raise InputError("no such file or folder", where=target, allowed=f"{SOURCES}; or live: {LISTED}")
     with reading(path):
         source = _opened(path, options)
@@ -155,7 +156,8 @@ def sink(target: str | Path, **options: Any) -> Sink:
     if address := Address.of(target, **options):
         if not address.known or address.part("sink") is None:
             raise InputError("not something to write to", where=target, allowed=SINKS)
-        return address.sink()
+        live: Sink = address.open("sink")
+        return live
     check_beside(path)
     kind = _kind_of_sink(path)
     if kind in MAPS:

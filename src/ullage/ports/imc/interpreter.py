@@ -95,7 +95,8 @@ def _polar_back(value: Any, args: tuple[str, ...]) -> dict[str, Any]:
     return {args[0]: math.hypot(value["x"], value["y"]), args[1]: course}
 
 
-def _parts_of(seconds: float) -> dict[str, int]:
+def stamp_of(seconds: float) -> dict[str, int]:
+    """Return a time [s] as ROS divides it."""
     whole = math.floor(seconds)
     nanosec = min(round((seconds - whole) * 1e9), 999_999_999)
     return {"sec": whole, "nanosec": nanosec}
@@ -148,7 +149,7 @@ CONVERSIONS: dict[str, Conversion] = {
     "mount": _attitude(FLIP),
     "polar": Conversion(_polar_out, _polar_back),
     "stamp": Conversion(lambda m, a: None, lambda value, a: {a[0]: _seconds(value["stamp"])}),
-    "time": Conversion(lambda m, a: _parts_of(m[a[0]]), lambda value, a: {a[0]: _seconds(value)}),
+    "time": Conversion(lambda m, a: stamp_of(m[a[0]]), lambda value, a: {a[0]: _seconds(value)}),
     "variances": Conversion(
         lambda m, a: np.diag([float(m[name]) ** 2 for name in a]).ravel().tolist(),
         lambda value, a: {name: math.sqrt(max(float(value[4 * k]), 0.0)) for k, name in enumerate(a)},
