@@ -250,16 +250,15 @@ def _of_recording(
     survey = None if rail is None else rail.survey
     known = {} if rail is None else {"floor_z_m": rail.floor_z_m, "vehicle_radius_m": VEHICLE_M}
     tree: dict[str, Any] = {} if rail is None else {"map": known}
+    settings = make_scenario(tree | {"name": "any", "do": ["detect"]}, options=options)
     if any(part.track is not None for part in first.values()):
-        floor_z_m = make_scenario(tree | {"name": "any", "do": ["detect"]}, options=options).map.floor_z_m
         log("finding clock and range offsets")
         places = None if survey is None else survey.places
-        parts = [_calibrated(part, log, floor_z_m, places) for part in sensors_of(source.frames())]
+        parts = [_calibrated(part, log, settings.map.floor_z_m, places) for part in sensors_of(source.frames())]
         source = InMemorySource({part.sensor: part for part in parts})
         first = next(source.stream())
     placed = all(part.poses is not None for part in first.values())
-    seen = make_scenario({"name": "any", "do": ["detect"]}, options=options)
-    odometry = _odometry(source, seen, target) if seen.flight.poses == "radar" else None
+    odometry = _odometry(source, settings, target) if settings.flight.poses == "radar" else None
     if odometry is not None:
         source = InMemorySource(gathered(odometry.placed(source.stream())))
         first = next(source.stream())
@@ -483,8 +482,17 @@ def _calibrated(part: Frames, report: Callable[[str], None], floor_z_m: float | 
     from ullage.processing.calibrate import calibrate
     from ullage.processing.floor import floor_echo
 
-    out = calibrate(part, reflectors=places, progress=_every_tenth(report))
-    _report_offsets(out, report)
+    def found_with(**known: Any) -> Frames:
+        out = calibrate(part, progress=_every_tenth(report), **known)
+        if (found := out.calibration) is not None:
+            report(
+                f"{out.sensor}: clock {found.t_offset_s:+.4f} s (sigma {found.t_sigma_s:.4f}), "
+                f"range {found.range_offset_m:+.4f} m (sigma {found.range_sigma_m:.4f}), "
+                f"probability {found.probability:.3f}"
+            )
+        return out
+
+    out = found_with(reflectors=places)
     floor = None if floor_z_m is None else floor_echo(without_own_echo(out)[0], floor_z_m)
     found = out.calibration
     if floor is None or found is None:
@@ -494,19 +502,7 @@ def _calibrated(part: Frames, report: Callable[[str], None], floor_z_m: float | 
         return out
     report("calibrating again with the floor as the range's zero")
     range_m = found.range_offset_m - floor.long_m
-    guess = (found.t_offset_s, FLOOR_CLOCK_S, range_m, floor.sigma_m)
-    out = calibrate(part, guess=guess, progress=_every_tenth(report))
-    _report_offsets(out, report)
-    return out
-
-
-def _report_offsets(frames: Frames, report: Callable[[str], None]) -> None:
-    if (found := frames.calibration) is not None:
-        report(
-            f"{frames.sensor}: clock {found.t_offset_s:+.4f} s (sigma {found.t_sigma_s:.4f}), "
-            f"range {found.range_offset_m:+.4f} m (sigma {found.range_sigma_m:.4f}), "
-            f"probability {found.probability:.3f}"
-        )
+    return found_with(guess=(found.t_offset_s, FLOOR_CLOCK_S, range_m, floor.sigma_m))
 
 
 def _every_tenth(log: Callable[[str], None]) -> Callable[[float], None]:

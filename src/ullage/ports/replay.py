@@ -24,6 +24,7 @@ from ullage.ports import conversions
 from ullage.ports import schema as ros
 from ullage.ports.intake import Clock, Counters, Stamped, Stream, warn
 from ullage.ports.protocol import Recording
+from ullage.untrusted import reading
 
 if TYPE_CHECKING:
     from ullage.flight.live import Wish
@@ -61,11 +62,8 @@ class McapSource(Recording):
 
     def __init__(self, path: str | Path) -> None:
         super().__init__(path)
-        try:
-            with open(self.path, "rb") as file:
-                magic = file.read(len(MAGIC))
-        except OSError as error:
-            raise InputError(f"cannot read: {error.strerror}", where=self.path) from None
+        with reading(self.path), open(self.path, "rb") as file:
+            magic = file.read(len(MAGIC))
         if magic != MAGIC:
             raise InputError("not an MCAP recording" if magic else "empty file", where=self.path, allowed="MCAP")
         self.place = ""
