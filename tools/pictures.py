@@ -52,7 +52,7 @@ def drawings() -> list[Drawing]:
         Drawing(("cargo_hold.webp",), page, ("ullage.view.moving_picture",),
                 (("ullage", "run", "cargo-hold", "--law", "physical", "--force"),
                  ("ullage.view.moving_picture", "runs/latest", "cargo_hold.webp"))),
-        Drawing(("explain.png",), page, ("ullage.view.explain_figure",),
+        Drawing(("explain.png",), page, ("ullage.view.report_figures",),
                 (("ullage", "run", "ntnu-plate", "--law", "physical", "--force"),), figures.format("explain")),
         Drawing(("silo_map.png",), page, ("ullage.view.figures",),
                 (("ullage", "run", "silo", "--force"),), figures.format("map")),

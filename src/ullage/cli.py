@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import sys
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from ullage.errors import DamageWarning, InputError, UllageError, one_line
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -76,7 +81,6 @@ def with_arguments(source: str, given: list[str]) -> str:
         InputError: the source is no .xacro file.
     """
     from ullage.config import split_source
-    from ullage.errors import InputError
 
     file, before = split_source(source)
     if given and not file.lower().endswith(".xacro"):
@@ -87,15 +91,11 @@ def with_arguments(source: str, given: list[str]) -> str:
 
 def local_workers(jobs: int | None) -> int | None:
     """Worker processes: as many as asked for, else one for each core (None) with Dask, or this process (1) without."""
-    from importlib.util import find_spec
-
     return jobs or (None if find_spec("distributed") else 1)
 
 
 def where_to_run(jobs: int | None, scheduler: str | None) -> int | str | None:
     """A scheduler's address, or the number of worker processes here."""
-    from ullage.errors import InputError
-
     if scheduler and jobs:
         raise InputError("a cluster has its own workers", where="--jobs", allowed="--jobs or --scheduler")
     return scheduler or local_workers(jobs)
@@ -113,7 +113,6 @@ def study(name: str) -> ModuleType:
     from importlib.metadata import metadata
 
     import ullage
-    from ullage.errors import InputError
 
     for root in (Path(ullage.__file__).parents[2], Path.cwd()):
         if (root / "studies/__init__.py").is_file() and (root / "src/ullage/__init__.py").is_file():
@@ -134,7 +133,6 @@ def main(words: list[str] | None = None) -> None:
     Raises:
         SystemExit: the command is over; its code is 0, or 2 for what was refused.
     """
-    from ullage.errors import DamageWarning, UllageError, one_line
     from ullage.stop_signals import stop_as_ctrl_c
 
     os.environ.setdefault(
@@ -205,8 +203,6 @@ def _logged(level: int) -> Iterator[None]:
 
 def _quiet_warnings() -> dict[str, type[Warning]]:
     """Show each warning as one line, once; give those shown so far."""
-    import warnings
-
     shown: dict[str, type[Warning]] = {}
 
     def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
@@ -356,7 +352,7 @@ def _posed(poses: str | None) -> list[str]:
 
 def repair(source: str) -> bool:
     """Finish a recording that a kill left unfinished; whether there was one."""
-    from ullage.ports.repair import repair_bag
+    from ullage.ports.bag import repair_bag
     from ullage.view.progress import log
 
     if done := repair_bag(source):
@@ -456,7 +452,6 @@ def list_(
     out: Out = None,
 ) -> None:
     """List scenarios, worlds, radars and runs."""
-    from ullage.errors import InputError
     from ullage.experiments.catalog import families, suggestion
     from ullage.experiments.folder import RUNS
     from ullage.specs import RadarSpec, Rig
@@ -567,7 +562,6 @@ def measure(run: RunName = "latest") -> None:
 
     The scenario has them. Exit 1 when one is broken.
     """
-    from ullage.errors import InputError
     from ullage.experiments.bounds import verdicts
     from ullage.experiments.folder import RunFolder
     from ullage.view.progress import answer
@@ -626,8 +620,6 @@ def config(
 
     Save it, change it, and run it.
     """
-    import json
-
     from ullage.config import scenario_schema, scenario_text
     from ullage.experiments.catalog import find_scenario, variant_name
 
@@ -653,7 +645,6 @@ def calibrate(
 
     Or plan a flight that determines them. Exit 1 when the recording does not decide. No map is made.
     """
-    from ullage.errors import InputError
     from ullage.experiments import calibration_flight as flights
     from ullage.view.progress import answer, console
 
@@ -822,7 +813,6 @@ def dataset(
 
     Worlds and flights are random. Run again to go on after Ctrl-C, or with a larger --n.
     """
-    from ullage.errors import InputError
     from ullage.experiments import dataset as sets
     from ullage.radar.warmup import radar_parts
     from ullage.specs import MOST_BOUNCES
@@ -871,7 +861,6 @@ def device(
 
     It answers its protocol, for a try of x4: and mrm: without hardware.
     """
-    from ullage.errors import InputError
     from ullage.ports.instruments.simulated import SimulatedMrm, SimulatedX4, faults_of
 
     if kind not in ("x4", "mrm") or (pty and kind == "mrm"):
@@ -896,7 +885,6 @@ def doctor(
 
     Check libraries, kernels, worlds and disk. Exit 1 when something is wrong.
     """
-    from ullage.errors import InputError
     from ullage.experiments.doctor import checks
     from ullage.view.progress import answer
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -541,6 +541,10 @@ def gathered(pieces: Iterable[Mapping[str, Frames]]) -> dict[str, Frames]:
     return {name: joined(some) for name, some in parts.items()}
 
 
+@overload
+def strung(paths: Sequence[Trajectory]) -> Trajectory: ...
+@overload
+def strung(paths: Sequence[Trajectory | None]) -> Trajectory | None: ...
 def strung(paths: Sequence[Trajectory | None]) -> Trajectory | None:
     """Pieces of a path, in order of time, as one; None where a piece is not known."""
     known = [p for p in paths if p is not None]

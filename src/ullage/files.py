@@ -4,11 +4,29 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
 from ullage.errors import InputError
+
+
+@contextmanager
+def writing(path: Path, *, allowed: str = "") -> Iterator[None]:
+    """Turn what the system refuses, as on a full disk, into one line.
+
+    Args:
+        path: what is written.
+        allowed: for the message.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot write: {error.strerror or error}", where=path, allowed=allowed) from None
 
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:

@@ -10,7 +10,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -271,8 +271,6 @@ class DetectStage(Stage):
 
     def update(self, chunk: Chunk) -> Iterable[Detections]:
         """Detections of each sensor, `frame` counted from the start of the recording."""
-        from dataclasses import replace
-
         from ullage.processing.detect import detect
 
         if self.own_echo is not None:

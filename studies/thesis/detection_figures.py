@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.grids import Image
-from ullage.view.figures import TRUTH_COLOR
-from ullage.view.saving import save_figure
+from ullage.view.figures import TRUTH_COLOR, save_figure
 from ullage.world.scene import Scene
 from ullage.world.section import section, wire_section
 

@@ -12,8 +12,7 @@ import numpy as np
 from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.grids import Image, OccupancyMap
-from ullage.view.figures import draw_map, draw_plan
-from ullage.view.saving import save_figure
+from ullage.view.figures import draw_map, draw_plan, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,7 +13,7 @@ from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.grids import Image
 from ullage.processing.baseband import envelope
-from ullage.view.saving import save_figure
+from ullage.view.figures import save_figure
 
 COLORS = {"recorded": "#22577a", "simulated": "#d1495b"}
 

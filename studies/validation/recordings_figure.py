@@ -10,7 +10,7 @@ import numpy as np
 
 from ullage.arrays import Floats
 from ullage.grids import Image
-from ullage.view.saving import save_figure
+from ullage.view.figures import save_figure
 
 LINES = {
     "recorded": ("#22577a", "-"), "world": ("#d1495b", "-"), "receiver": ("#d1495b", "--"),

@@ -28,8 +28,7 @@ from test_bag import record
 import ullage as ul
 from conftest import assert_same, some_frames
 from ullage.ports import Sink
-from ullage.ports.bag import McapSink
-from ullage.ports.repair import repair_bag
+from ullage.ports.bag import McapSink, repair_bag
 
 WRITER = """
     import sys, time, numpy as np

@@ -1,7 +1,7 @@
 """The picture of an explained frame is written, and holds the numbers it is given."""
 
 import ullage as ul
-from ullage.view.explain_figure import explain_figure
+from ullage.view.report_figures import explain_figure
 from ullage.world.section import section
 
 HERE = ul.Trajectory.stationary()

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from ullage.arrays import Floats
-from ullage.data import Calibration, Trajectory, sensors_of
+from ullage.data import Calibration, Trajectory, sensors_of, strung
 from ullage.errors import InputError
 from ullage.flight.missions import Waypoints
 from ullage.flight.vehicle import fly
 from ullage.ports.registry import open as open_source
-from ullage.ports.survey import read_survey
 from ullage.ports.tracked import TRACK_FILES, read_radar_track
+from ullage.ports.tracks import read_survey
 from ullage.processing.calibrate import calibrate
 from ullage.processing.calibration_plan import CalibrationPlan, plan_calibration, quantities
 from ullage.specs import RadarSpec
@@ -66,17 +66,6 @@ def calibration_flight() -> list[Trajectory]:
     return out
 
 
-def joined(legs: list[Trajectory]) -> Trajectory:
-    """Return legs as one track."""
-    rates = [leg.rates for leg in legs]
-    return Trajectory(
-        np.concatenate([leg.t_ns for leg in legs]),
-        np.concatenate([leg.position for leg in legs]),
-        np.concatenate([leg.quat_xyzw for leg in legs]),
-        *(np.concatenate(part) for part in zip(*rates, strict=True)),
-    )
-
-
 def beside(track: Trajectory) -> Floats:
     """Places (4, 3) of reflectors at the corners of a box around a track, low and high in turn."""
     low, high = track.position.min(0) - BESIDE_M, track.position.max(0) + BESIDE_M
@@ -99,7 +88,7 @@ class Planned:
         """Predict the sigmas, with or without a survey of the reflectors, or but for one leg."""
         legs = [leg for k, leg in enumerate(self.legs) if k != but]
         survey = {} if surveyed else {"survey_sigma_m": float("inf")}
-        return plan_calibration(joined(legs), self.spec, self.places, **survey)
+        return plan_calibration(strung(legs), self.spec, self.places, **survey)
 
     def leg_rows(self) -> list[tuple[str, ...]]:
         """Rows of a table: each leg, its length, its reason, and what suffers most without it."""

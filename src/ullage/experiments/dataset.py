@@ -23,7 +23,7 @@ import ullage
 from ullage.errors import InputError, UllageError, need, one_line
 from ullage.experiments.cluster import Log, Where, each_done
 from ullage.experiments.samples import CONTENT, FORMAT, SENSORS, SampleSpec, coordinates, layout, sample
-from ullage.files import write_whole
+from ullage.files import write_whole, writing
 
 Progress = Callable[[int, int, str], None]
 Row = dict[str, Any]
@@ -69,7 +69,7 @@ def dataset(
     spec = SampleSpec.of(words, seed=seed, frames=frames, bounces=bounces)
     path = Path(to).resolve()
     with _only_writer(path.with_name(f".{path.name}.lock")):
-        with _writing(path):
+        with writing(path):
             store = _create(path, spec, n)
             _write_card(store)
         _fill(store, where, progress or (lambda *_: None))
@@ -184,7 +184,7 @@ def make_part(part: Part, log: Log) -> int:
         for name, values in arrays.items():
             whole[name][k - lo] = values
         rows.append(row)
-    with _writing(store.path):
+    with writing(store.path):
         _write_part(part, whole, rows)
     return hi - lo
 
@@ -298,18 +298,9 @@ def _schema() -> Any:
 
 
 @contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    """Turn what the system refuses, as on a full disk, into one line."""
-    try:
-        yield
-    except OSError as error:
-        raise UllageError(f"{path}: cannot write: {error.strerror or error}") from None
-
-
-@contextmanager
 def _only_writer(lock: Path) -> Iterator[None]:
     """Hold the data set's lock; the system releases it when this process ends."""
-    with _writing(lock.parent):
+    with writing(lock.parent):
         lock.parent.mkdir(parents=True, exist_ok=True)
     try:
         with _locked(lock, fcntl.LOCK_EX | fcntl.LOCK_NB):

@@ -17,7 +17,6 @@ from ullage import checks
 from ullage.arrays import Floats
 from ullage.config import Scenario
 from ullage.data import Frames, Trajectory, gathered, strung
-from ullage.errors import InputError
 from ullage.experiments.guarded_flight import Believe, Loop, WaypointFollower
 from ullage.experiments.simulated import radars_and_world, waypoints_of
 from ullage.flight.airframe import airframe
@@ -363,7 +362,7 @@ class Exploration:
     @property
     def flown(self) -> Trajectory:
         """True path of the body so far."""
-        return _strung(self._flown)
+        return strung(self._flown)
 
     @property
     def aloft(self) -> Trajectory:
@@ -380,7 +379,7 @@ class Exploration:
     @property
     def believed(self) -> Trajectory:
         """The same as navigation has it."""
-        return _strung(self._believed)
+        return strung(self._believed)
 
 
 def prepare(
@@ -449,10 +448,3 @@ def _height_over_ground(scene: Scene, start: Floats) -> float | None:
     """Return the height [m] of the start over what is below it; None: nothing is."""
     away_m = float(Raycaster(scene).distances(start[None, :3], np.array([[0.0, 0.0, -1.0]]))[0])
     return away_m if math.isfinite(away_m) else None
-
-
-def _strung(parts: list[Trajectory]) -> Trajectory:
-    whole = strung(parts)
-    if whole is None:
-        raise InputError("the flight has not begun", where="explore")
-    return whole

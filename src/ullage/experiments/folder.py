@@ -15,16 +15,17 @@ import shutil
 import socket
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, Self
 
 from ullage.data import Metric
 from ullage.errors import InputError
-from ullage.files import write_whole
+from ullage.files import write_whole, writing
 from ullage.ports.registry import check_folder
 from ullage.untrusted import reason
 
@@ -252,14 +253,8 @@ class RunFolder:
             (draft if type(self)(draft).finished else old).rename(self.final)
         shutil.rmtree(old, ignore_errors=True)
 
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise InputError(
-                f"cannot write: {error.strerror}", where=self.final, allowed="a folder that can be written, --out DIR"
-            ) from None
+    def _writing(self) -> AbstractContextManager[None]:
+        return writing(self.final, allowed="a folder that can be written, --out DIR")
 
 
 def point_latest(final: Path) -> None:
@@ -305,8 +300,6 @@ def read_json(path: Path) -> Any:
 
 def provenance() -> dict[str, Any]:
     """Return the origin of a run: versions, machine, command, time."""
-    from importlib.metadata import version
-
     import ullage
 
     libraries = ("numpy", "scipy", "numba", "embreex", "mujoco", "rosbags", "mcap")

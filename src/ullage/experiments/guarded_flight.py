@@ -199,7 +199,8 @@ class Loop:
         plan, give_up_s = self.scenario.flight, self.scenario.flight.guard.give_up_s
         if len(points) < 2:
             raise InputError("one waypoint", where="flight.waypoints", allowed="two or more with flight.guard.on")
-        longest_s = _longest_s(points, plan.speed_m_s) + plan.hover_s + give_up_s
+        straight_s = float(np.linalg.norm(np.diff(points[:, :3], axis=0), axis=1).sum()) / plan.speed_m_s
+        longest_s = 2 * straight_s + 5.0 + plan.hover_s + give_up_s  # with time for starts and stops
         follower = WaypointFollower(points, plan.speed_m_s)
         truths, beliefs, frames, steps, moved_s, arrived_s = [], [], [], [], 0.0, math.inf
         for row, now in enumerate(self.steps(follower, _start(points), longest_s=longest_s)):
@@ -214,10 +215,7 @@ class Loop:
                 break
             if progress is not None and row % 20 == 0:
                 progress(row / (longest_s * self.rate_hz))
-        flown, thought = strung(truths), strung(beliefs)
-        if flown is None or thought is None:  # narrows the type; every pose is known
-            raise ValueError("no poses")
-        return GuardedFlight(flown, thought, frames, steps, self.contacts, follower.arrived)
+        return GuardedFlight(strung(truths), strung(beliefs), frames, steps, self.contacts, follower.arrived)
 
     def steps(self, pilot: Pilot, start: Floats, *, longest_s: float) -> Iterator[Flown]:
         """Fly step by step: the pilot's velocity, limited by the guard, holds until the next step.
@@ -274,11 +272,6 @@ class Loop:
         known = {name: replace(part, truth=None, simulated=None) for name, part in chunk.items()}
         heard = self.receive(known) if self.receive is not None else known
         return list(stage.update(heard))[-1] if heard else stage.sectors(t_ns)
-
-
-def _longest_s(points: Floats, speed_m_s: float) -> float:
-    """Twice the time that the straight lines take, and some for starts and stops [s]."""
-    return 2 * float(np.linalg.norm(np.diff(points[:, :3], axis=0), axis=1).sum()) / speed_m_s + 5.0
 
 
 def _start(points: Floats) -> Floats:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar, TextIO
 
 from ullage.data import Metric
-from ullage.errors import InputError
+from ullage.files import writing
 from ullage.flow import Sink
 from ullage.processing.obstacles import ObstacleSectors
 
@@ -61,14 +61,13 @@ class ObstacleTable(Sink):
         """
         if not isinstance(item, ObstacleSectors):
             return
-        try:
+        path = self.folder / "obstacles.csv"
+        with writing(path):
             if self._file is None:
-                self._file = (self.folder / "obstacles.csv").open("w", encoding="utf-8", newline="")
+                self._file = path.open("w", encoding="utf-8", newline="")
                 self._rows = csv.writer(self._file, lineterminator="\n")
                 self._rows.writerow(FIELDS)
             self._rows.writerows(self._taken(item, k) for k in range(len(item)))
-        except OSError as error:
-            raise InputError(str(error.strerror), where=self.folder / "obstacles.csv") from error
 
     def close(self) -> None:
         """Close the file."""

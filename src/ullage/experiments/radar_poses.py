@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from ullage.arrays import Bools
-from ullage.data import Frames, Imu, Metric, Trajectory, even_times
+from ullage.data import Frames, Imu, Metric, Trajectory, even_times, strung
 from ullage.errors import UllageWarning
 from ullage.flight.imu import ImuSpec, simulate_height, simulate_imu
 from ullage.processing.odometry.odometry import Odometry, OdometryResult
@@ -155,11 +155,11 @@ class LivePoses:
         if self._work is None or self._last is None:
             self._work, self._first_ns = Odometry(start=truth), int(truth.t_ns[0])
             after_ns = truth.t_ns + round(1e9 / self._spec.rate_hz)
-            rest = _two(truth, replace(truth, t_ns=after_ns))
+            rest = strung([truth, replace(truth, t_ns=after_ns)])
             imu = simulate_imu(rest, self._spec, still_s=STILL_S, seed=self._seed)
             imu = imu[imu.t_ns <= truth.t_ns[0]]
         else:
-            piece = _two(self._last, truth)
+            piece = strung([self._last, truth])
             imu = simulate_imu(piece, self._spec, still_s=0.0, seed=self._seed, begun_ns=self._first_ns)[1:]
         self._work.add_imu(self.read(imu))
         self._work.add_height(simulate_height(truth, seed=self._seed))
@@ -184,11 +184,3 @@ def of_flight(poses: object, flown: Trajectory) -> RadarPoses | None:
     """Return what to report of a closed loop that flew by its radars; None: it flew by other poses."""
     found = poses.result() if isinstance(poses, LivePoses) else None
     return None if found is None else RadarPoses(flown, seed=0, source="true flight", flown_by=found)
-
-
-def _two(before: Trajectory, after: Trajectory) -> Trajectory:
-    rates = zip(before.rates, after.rates, strict=True)
-    return Trajectory(
-        np.concatenate([before.t_ns, after.t_ns]), np.concatenate([before.position, after.position]),
-        np.concatenate([before.quat_xyzw, after.quat_xyzw]), *(np.concatenate(pair) for pair in rates),
-    )  # fmt: skip

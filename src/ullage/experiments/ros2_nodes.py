@@ -7,8 +7,7 @@ flow, deactivate stops them, cleanup lets go of everything; `autostart` goes thr
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,12 +16,16 @@ from pydantic import Field
 from ullage.config import ImageMethod, MapMethod
 from ullage.data import Frames
 from ullage.errors import InputError, UllageError, need
+from ullage.experiments.source_resolution import Begun
 from ullage.flow import Stage
 from ullage.grids import Grid
-from ullage.pipeline import DetectStage, ImageStage, MapStage, Sink, Source, run
+from ullage.pipeline import DetectStage, ImageStage, MapStage, run
 from ullage.ports.live import options_of
+from ullage.ports.ros2.cosimulation import Ros2Radars
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions, SimulateOptions, SinkOptions, SourceOptions
+from ullage.ports.ros2.sink import Ros2Sink
+from ullage.ports.ros2.source import Ros2Source
 from ullage.processing.own_echo import OwnEchoFilter
 from ullage.specs import Spec
 
@@ -40,19 +43,6 @@ class MappingOptions(SourceOptions):
     image_method: ImageMethod = Field("backprojection", description="backprojection, or summation as the thesis had it")
     image_step_m: float = Field(0.1, gt=0, le=10, description="edge of a cell of the image")
     batch_s: float = Field(0.1, ge=0, le=10, description="how long frames are gathered before they are mapped")
-
-
-@dataclass(frozen=True, slots=True)
-class Resumed:
-    """A stream whose first piece was looked at."""
-
-    first: dict[str, Frames]
-    rest: Iterator[dict[str, Frames]]
-
-    def stream(self) -> Iterator[dict[str, Frames]]:
-        """Give every chunk once."""
-        yield self.first
-        yield from self.rest
 
 
 def simulate(source: Any, peer: Peer, options: Spec) -> None:
@@ -85,39 +75,19 @@ def mapping_stages(first: dict[str, Frames], options: MappingOptions) -> list[St
 
 def map_frames(source: Any, peer: Peer, options: Spec) -> None:
     """Detections and a map of frames that come on topics, published."""
-    from ullage.ports.ros2.sink import Ros2Sink
-
     if not isinstance(options, MappingOptions):
         raise InputError("not the options of radar_mapping", where="map_frames")
-    pieces = source.stream()
-    first = next(pieces, None)
-    if not first:
-        return
-    stages = mapping_stages(first, options)
-    how = SinkOptions(pace=0, clock="off", node=options.node, frame_prefix=options.frame_prefix)
-    sink: Sink = Ros2Sink("", how, peer=peer)
-    resumed: Source = Resumed(first, pieces)
-    run(resumed, stages=stages, sinks=[sink])
-
-
-def open_radars(peer: Peer, options: Any, log: Callable[[str], None]) -> Any:
-    """Radars on any moving body."""
-    from ullage.ports.ros2.cosimulation import Ros2Radars
-
-    return Ros2Radars("", options, log=log, peer=peer)
-
-
-def open_topics(peer: Peer, options: Any, log: Callable[[str], None]) -> Any:
-    """Frames from topics."""
-    from ullage.ports.ros2.source import Ros2Source
-
-    return Ros2Source("", options, log=log, peer=peer)
+    begun = Begun(source, wait=True)
+    if begun.first:
+        how = SinkOptions(pace=0, clock="off", node=options.node, frame_prefix=options.frame_prefix)
+        run(begun, stages=mapping_stages(begun.first, options), sinks=[Ros2Sink("", how, peer=peer)])
 
 
 NODES: dict[str, tuple[type[NodeOptions], Callable[..., Any], Callable[..., None]]] = {
-    "radar_simulator": (SimulateOptions, open_radars, simulate),
-    "radar_mapping": (MappingOptions, open_topics, map_frames),
+    "radar_simulator": (SimulateOptions, Ros2Radars, simulate),
+    "radar_mapping": (MappingOptions, Ros2Source, map_frames),
 }
+"""Options, source and work of each node."""
 NOT_PARAMETERS = {"domain", "node", "host", "remap"}  # ROS has its own words for these
 
 
@@ -140,7 +110,7 @@ class Work:
         try:
             self._options = read(self._node, kind)
             self._peer = Peer("", self._options, node=self._node)
-            self._source = make(self._peer, self._options, self._node.get_logger().info)
+            self._source = make("", self._options, log=self._node.get_logger().info, peer=self._peer)
         except UllageError as error:
             self._node.get_logger().error(str(error))
             return False

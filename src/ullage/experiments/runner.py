@@ -24,16 +24,21 @@ from ullage.experiments.inspection import inspect, object_rows, place_of
 from ullage.experiments.map_files import MapSaver, write_map_files
 from ullage.experiments.obstacle_table import ObstacleTable
 from ullage.experiments.replay_parts import keep_replay
-from ullage.experiments.report_collectors import SampledFrames
 from ullage.experiments.run import Compared, Report, Run
 from ullage.experiments.simulated import Simulated
 from ullage.experiments.verdict import verdict
 from ullage.flow import Stage
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import LOGGER, DetectStage, ImageStage, MapStage, Outcome, Sink, Source, run
+from ullage.processing.metrics import map_quality, worst_moment
 from ullage.processing.obstacles import ObstacleStage
+from ullage.processing.own_echo import without_own_echo
+from ullage.processing.truth import NoSurfaceError
+from ullage.radar.explain import explain
 from ullage.stop_signals import raise_if_stopped
+from ullage.view import figures, report_figures
 from ullage.world.scene import Scene
+from ullage.world.section import section
 
 Log = Callable[[str], None]
 LIVE_S = 0.2
@@ -96,7 +101,8 @@ def _receive(
     given = [*sinks, *job.sinks, *keeping]
     outcome = run(job.source, stages=stages, sinks=given, progress=progress, on_lag=on_lag)
     if job.live:
-        job.flown = _seen_path(job.sampled) or job.flown
+        paths = (frames.poses for frames in job.sampled.frames().values())
+        job.flown = next((path for path in paths if path is not None), job.flown)
     job.timing |= {"loop_wall_s": time.perf_counter() - wall, "loop_cpu_s": time.process_time() - cpu}
     return outcome
 
@@ -210,11 +216,6 @@ def _stages(job: Run) -> list[Stage]:
     return out
 
 
-def _seen_path(sampled: SampledFrames) -> Trajectory | None:
-    """Return the path of the first sensor with known poses."""
-    return next((frames.poses for frames in sampled.frames().values() if frames.poses is not None), None)
-
-
 def _height(job: Run) -> float:
     """Return the median height of the flight, for plans and planes [m]."""
     return 0.0 if job.flown is None else float(np.median(job.flown.position[:, 2]))
@@ -243,71 +244,70 @@ def _in_range(source: Source, flown: Trajectory, box: Floats) -> Floats:
 
 
 def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
-    out = {
-        m.name: m
-        for m in (
-            Metric("frames", outcome.frames),
-            Metric("duration", outcome.duration_s, "s"),
-            Metric("detections", job.detect.found),
-            Metric("real_time_factor", outcome.duration_s / max(job.timing["loop_wall_s"], 1e-9)),
-        )
-    }
-    if len(job.sampled.frames()) == 1:
-        out |= {m.name: m for item in outcome.results if isinstance(item, Image) for m in _place(item)}
-    maps = [item for item in outcome.results if isinstance(item, OccupancyMap)]
+    """Return the scores of a run by name; add the sentences that belong to them to the run's findings."""
+    frames, maps = job.sampled.frames(), [item for item in outcome.results if isinstance(item, OccupancyMap)]
+    out = [
+        Metric("frames", outcome.frames),
+        Metric("duration", outcome.duration_s, "s"),
+        Metric("detections", job.detect.found),
+        Metric("real_time_factor", outcome.duration_s / max(job.timing["loop_wall_s"], 1e-9)),
+    ]
+    if len(frames) == 1:
+        out += [one for item in outcome.results if isinstance(item, Image) for one in _place(item)]
     if job.plane is not None and job.plane.grid.dims == 2:
-        out["image_z"] = Metric("image_z", float(job.plane.grid.origin_m[2]), "m")
+        out.append(Metric("image_z", float(job.plane.grid.origin_m[2]), "m"))
     if own := [one for one in job.own_echo.found.values() if one.energy_share]:
-        out["own_echo_share"] = Metric("own_echo_share", 100 * max(one.energy_share for one in own), "%")
-        out["own_echo_extent"] = Metric("own_echo_extent", max(one.extent_m for one in own), "m")
-    if outcome.live is not None:
-        out["left_out"] = Metric("left_out", outcome.live.left_out)
-        out["most_behind"] = Metric("most_behind", outcome.live.most_behind_s, "s")
-        job.findings = [*job.findings, *outcome.live.lines()]
-        if outcome.live.obstacles:
-            out["obstacle_p99"] = Metric("obstacle_p99", 1e3 * outcome.live.obstacle_p99_s, "ms")
-    if (part := _calibrated(job)) is not None:
-        places = job.map.scatterers if job.map is not None else []
-        words, found = verdict(part, maps[-1] if maps else None, places, job.marks, settled=job.settled)
-        job.findings = [*words, *job.findings]
-        out |= {one.name: one for one in found}
+        out.append(Metric("own_echo_share", 100 * max(one.energy_share for one in own), "%"))
+        out.append(Metric("own_echo_extent", max(one.extent_m for one in own), "m"))
     if job.odometry is not None:
-        words, found = job.odometry.report()
-        job.findings = [*words, *job.findings]
-        out |= {one.name: one for one in found}
-    job.findings = [*job.findings, *_why_empty(job, maps)]
-    faults = job.health.lines()
-    job.findings = [*job.findings, *(f"{fault}. Its frames of that time are not in the map." for fault in faults)]
-    if faults:
-        out["faults"] = Metric("faults", sum(one.times for one in job.health.faults()))
+        lines, scores = job.odometry.report()
+        job.findings += lines
+        out += scores
+    if (part := next((part for part in frames.values() if part.calibration is not None), None)) is not None:
+        places = job.map.scatterers if job.map is not None else []
+        lines, scores = verdict(part, maps[-1] if maps else None, places, job.marks, settled=job.settled)
+        job.findings += lines
+        out += scores
+    if outcome.live is not None:
+        job.findings += outcome.live.lines()
+        out.append(Metric("left_out", outcome.live.left_out))
+        out.append(Metric("most_behind", outcome.live.most_behind_s, "s"))
+        if outcome.live.obstacles:
+            out.append(Metric("obstacle_p99", 1e3 * outcome.live.obstacle_p99_s, "ms"))
+    job.findings += _why_empty(job, maps)
+    if faults := job.health.lines():
+        job.findings += [f"{fault}. Its frames of that time are not in the map." for fault in faults]
+        out.append(Metric("faults", sum(one.times for one in job.health.faults())))
     if job.obstacles is not None:
-        job.findings = [*job.findings, *job.obstacles.lines()]
-        out |= {one.name: one for one in job.obstacles.metrics()}
+        job.findings += job.obstacles.lines()
+        out += job.obstacles.metrics()
     if job.exploration is not None and job.scene is not None:
         from ullage.experiments.exploration_report import judge
 
         history = [*_over_flight(job, maps[-1].grid), (job.exploration.flown.duration_s, maps[-1])] if maps else []
-        judged = judge(job.exploration, history, job.scene, job.sampled.frames())
-        job.findings = [*job.findings, *judged.lines]
-        out |= {one.name: one for one in judged.metrics}
+        judged = judge(job.exploration, history, job.scene, frames)
+        job.findings += judged.lines
+        out += judged.metrics
     if job.scene is not None and maps:
-        from ullage.processing.metrics import map_quality, worst_moment
-        from ullage.processing.truth import NoSurfaceError
+        out += _against_truth(job, job.scene, maps[-1], frames)
+    return {one.name: one for one in out}
 
-        try:
-            out |= map_quality(maps[-1], job.scene, job.sampled.frames())
-            out |= worst_moment(_over_flight(job, maps[-1].grid), job.scene, job.sampled.frames())
-            job.objects, job.unmapped = inspect(maps[-1], job.scene, job.sampled.frames())
-            job.map_place = place_of(maps[-1], job.scene, job.sampled.frames())
-        except NoSurfaceError as error:  # a flight above all walls is a flight all the same
-            job.findings = [*job.findings, f"The map has no scores: {error}."]
-    return out
+
+def _against_truth(job: Run, scene: Scene, omap: OccupancyMap, frames: dict[str, Frames]) -> list[Metric]:
+    """Compare the last map with the world; note what it shows of each object."""
+    try:
+        scores = map_quality(omap, scene, frames) | worst_moment(_over_flight(job, omap.grid), scene, frames)
+        job.objects, job.unmapped = inspect(omap, scene, frames)
+        job.map_place = place_of(omap, scene, frames)
+    except NoSurfaceError as error:  # a flight above all walls is a flight all the same
+        job.findings.append(f"The map has no scores: {error}.")
+        return []
+    return list(scores.values())
 
 
 def _why_empty(job: Run, maps: Sequence[OccupancyMap]) -> list[str]:
     """Return why the last map has no occupied cell, by the frames that are kept; nothing where it has some."""
     from ullage.processing.empty_map import why_empty
-    from ullage.processing.own_echo import without_own_echo
 
     if not maps or maps[-1].occupied.any():
         return []
@@ -322,11 +322,6 @@ def _over_flight(job: Run, grid: Grid) -> list[tuple[float, OccupancyMap]]:
     return [(at - start, omap) for at, omap in job.history.maps() if omap.grid.shape == grid.shape]
 
 
-def _calibrated(job: Run) -> Frames | None:
-    """Frames of the first sensor that was calibrated against a track."""
-    return next((part for part in job.sampled.frames().values() if part.calibration is not None), None)
-
-
 def _place(image: Image) -> list[Metric]:
     """Return the place of the brightest target in one radar's image: the apex of a summation, else the peak."""
     from ullage.processing.summation import apex
@@ -336,8 +331,6 @@ def _place(image: Image) -> list[Metric]:
 
 
 def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
-    from ullage.view import figures, report_figures
-
     folder, out = job.folder / "figures", []
     frames, walls = job.sampled.frames(), _walls(job.scene, _height(job))
     if pictures := job.range_time.pictures():
@@ -368,21 +361,19 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
 
 
 def _draw_map(job: Run, omap: OccupancyMap) -> Path:
-    from ullage.view.figures import map_figure
-
     walls = _walls(job.scene, _height(job))
-    return map_figure(job.folder / "figures" / "map.png", omap, title=job.title, walls=walls, flown=job.flown,
+    return figures.map_figure(job.folder / "figures" / "map.png", omap, title=job.title, walls=walls, flown=job.flown,
                       marks=job.marks)  # fmt: skip
 
 
 def _draw_exploration(job: Run, flight: Exploration, omap: OccupancyMap) -> Path:
-    from ullage.view.report_figures import exploration_figure
-
     pilot = flight.pilot
     goals = [(one.t_s, one.leg.kind, one.leg.goal) for one in pilot.decisions]
     upcoming = None if pilot.upcoming is None else pilot.upcoming.goal
-    return exploration_figure(job.folder / "figures" / "explore.png", omap, flight.flown, goals, title=job.title,
-                              walls=_walls(job.scene, _height(job)), upcoming=upcoming)  # fmt: skip
+    return report_figures.exploration_figure(
+        job.folder / "figures" / "explore.png", omap, flight.flown, goals, title=job.title,
+        walls=_walls(job.scene, _height(job)), upcoming=upcoming,
+    )  # fmt: skip
 
 
 def _image_notes(job: Run, image: Image, frames: Mapping[str, Frames]) -> list[str]:
@@ -393,8 +384,6 @@ def _image_notes(job: Run, image: Image, frames: Mapping[str, Frames]) -> list[s
 
 
 def _snapshot(path: Path, frames: list[Frames], index: int, job: Run) -> Path:
-    from ullage.view import figures
-
     plan = job.scenario.detect
     threshold = plan.threshold or (rays.threshold if (rays := frames[0].ray_model) else None)
     t_s = float(frames[0].t_ns[index]) * 1e-9
@@ -405,17 +394,12 @@ def _snapshot(path: Path, frames: list[Frames], index: int, job: Run) -> Path:
 
 def _explained(path: Path, name: str, frames: Frames, index: int, job: Run) -> Path:
     """Return the origins of the echoes of one frame."""
-    from ullage.radar.explain import explain
-    from ullage.view.explain_figure import explain_figure
-
     found = explain(frames, index, scene=job.scene, max_bounces=job.scenario.sensing.max_bounces,
                     seed=job.scenario.seed)  # fmt: skip
     height = float(frames.poses.position[index, 2]) if frames.poses is not None else _height(job)
     title = f"{job.title}: frame {job.sampled.number(name, index)} of {name}, explained"
-    return explain_figure(path, frames, index, found, walls=_walls(job.scene, height), title=title)
+    return report_figures.explain_figure(path, frames, index, found, walls=_walls(job.scene, height), title=title)
 
 
 def _walls(scene: Scene | None, height_m: float) -> Any:
-    from ullage.world.section import section
-
     return None if scene is None else section(scene, height_m)

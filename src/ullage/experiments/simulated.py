@@ -11,6 +11,7 @@ from ullage.config import FlightSpec, Scenario, WorldSpec
 from ullage.data import Frames, Trajectory, even_times, gathered, strung
 from ullage.errors import InputError
 from ullage.experiments.radar_poses import RadarPoses, of_flight
+from ullage.geometry import rpy_quat
 from ullage.specs import Rig
 from ullage.world.scene import Scene
 
@@ -181,7 +182,7 @@ def _hovering(flown: Trajectory, hover_s: float, rate_hz: float) -> Trajectory:
     held = Trajectory(
         flown.t_ns[-1] + more, still + flown.position[-1], np.tile(flown.quat_xyzw[-1], (len(more), 1)), still, still
     )
-    return strung([flown, held]) or flown
+    return strung([flown, held])
 
 
 def waypoints_of(flight: FlightSpec, world: WorldSpec, scene: Scene) -> tuple[tuple[float, ...], ...]:
@@ -206,8 +207,6 @@ def waypoints_of(flight: FlightSpec, world: WorldSpec, scene: Scene) -> tuple[tu
 
 def ideal_path(points: np.ndarray, speed_m_s: float, rate_hz: float) -> Trajectory:
     """Straight lines at constant speed through waypoints (n, 3 or 4), yaw turning evenly between them [deg]."""
-    from ullage.geometry import rpy_quat
-
     legs = np.linalg.norm(np.diff(points[:, :3], axis=0), axis=1)
     when = np.concatenate([[0.0], np.cumsum(np.maximum(legs, 1e-9))]) / speed_m_s
     t_ns = even_times(rate_hz, t1_ns=round(when[-1] * 1e9))

@@ -13,18 +13,21 @@ import numpy as np
 
 from ullage.arrays import Floats
 from ullage.config import Scenario, Task, is_set_by, make_scenario, run_name, split_source
-from ullage.data import Frames, Trajectory, gathered, strung
+from ullage.data import Frames, Trajectory, gathered, sensors_of, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
 from ullage.experiments.folder import RunFolder
 from ullage.experiments.radar_poses import RadarPoses
 from ullage.experiments.run import Run, of_scenario
-from ullage.experiments.simulated import Simulated, prepare
-from ullage.pipeline import LOGGER, Sink, check_sink
+from ullage.experiments.simulated import Simulated, load_world, prepare, radars_and_world, waypoints_of
+from ullage.pipeline import LOGGER, InMemorySource, Sink, check_sink
 from ullage.pipeline import sink as open_sink
 from ullage.ports.arrays import refuse_pickle
 from ullage.ports.live import LISTED, Address
 from ullage.ports.registry import SOURCES, reads
+from ullage.ports.registry import open as open_source
+from ullage.ports.tracked import RailSource
+from ullage.processing.own_echo import without_own_echo
 from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -150,8 +153,6 @@ def _with_flight(
     scenario: Scenario, target: str, options: Sequence[str], log: Callable[[str], None]
 ) -> tuple[Scenario, Scene]:
     """Plan and report a world's default flight; return its scenario and the world, with the radars it declares."""
-    from ullage.experiments.simulated import load_world, radars_and_world, waypoints_of
-
     scene = load_world(scenario.world)
     curved = [f"{name} {share:.0%}" for name, share in scene.curved().items() if share >= 0.005]
     if curved:
@@ -240,10 +241,6 @@ def _of_recording(
     options: Sequence[str],
     log: Callable[[str], None],
 ) -> Run:
-    from ullage.pipeline import InMemorySource
-    from ullage.ports.registry import open as open_source
-    from ullage.ports.tracked import RailSource
-
     check_options(options)
     source: Any = open_source(target)
     first = next(iter(source.stream()), None)
@@ -253,13 +250,15 @@ def _of_recording(
     survey = None if rail is None else rail.survey
     known = {} if rail is None else {"floor_z_m": rail.floor_z_m, "vehicle_radius_m": VEHICLE_M}
     tree: dict[str, Any] = {} if rail is None else {"map": known}
+    settings = make_scenario(tree | {"name": "any", "do": ["detect"]}, options=options)
     if any(part.track is not None for part in first.values()):
-        floor_z_m = make_scenario(tree | {"name": "any", "do": ["detect"]}, options=options).map.floor_z_m
-        source = InMemorySource(_on_one_clock(source, log, floor_z_m, None if survey is None else survey.places))
+        log("finding clock and range offsets")
+        places = None if survey is None else survey.places
+        parts = [_calibrated(part, log, settings.map.floor_z_m, places) for part in sensors_of(source.frames())]
+        source = InMemorySource({part.sensor: part for part in parts})
         first = next(source.stream())
     placed = all(part.poses is not None for part in first.values())
-    seen = make_scenario({"name": "any", "do": ["detect"]}, options=options)
-    odometry = _odometry(source, seen, target) if seen.flight.poses == "radar" else None
+    odometry = _odometry(source, settings, target) if settings.flight.poses == "radar" else None
     if odometry is not None:
         source = InMemorySource(gathered(odometry.placed(source.stream())))
         first = next(source.stream())
@@ -292,7 +291,7 @@ def _odometry(source: Any, scenario: Scenario, target: str) -> RadarPoses:
     return RadarPoses(body, seed=scenario.seed, source="recorded track", captured=True)
 
 
-class _Begun:
+class Begun:
     """A live source, closed at its end; where its first piece is waited for, that is given first, then the rest."""
 
     def __init__(self, source: Any, *, wait: bool) -> None:
@@ -323,7 +322,7 @@ def _of_live(
     Where nothing is to be made of frames, none are waited for: a port may have only messages to pass on.
     """
     check_options(options)
-    source: Any = address.source()
+    source: Any = address.open("source")
     place = f"{address.scheme}:{address.place}"
     log(f"{'passing on what comes from' if tasks == () else 'waiting for the first frames from'} {place} (Ctrl-C ends)")
 
@@ -354,7 +353,7 @@ def _begun(
         if plan(()).flight.poses == "radar":
             raise InputError("live frames keep their poses", where=place, allowed="flight.poses navigation")
         wait = tasks != ()
-        begun = _Begun(source, wait=wait)
+        begun = Begun(source, wait=wait)
         if wait and not begun.first:
             raise InputError("no frames came", where=place)
         flown = next((part.poses for part in begun.first.values() if part.poses is not None), None)
@@ -415,7 +414,6 @@ def make_flight(
     Raises:
         InputError: the world, the start, a sink, or the source of commands cannot be used.
     """
-    from ullage.experiments.simulated import radars_and_world, waypoints_of
     from ullage.ports.by_hand import FlyOptions, HandFlownSource
 
     for sink in to:
@@ -476,28 +474,25 @@ def _controls(by: str, scenario: Scenario, log: Callable[[str], None]) -> Contro
     return controls
 
 
-def _on_one_clock(
-    source: Any, report: Callable[[str], None], floor_z_m: float | None, places: Floats | None
-) -> dict[str, Frames]:
-    """Calibrate the radar's clock and zero range against the track, and report the result."""
-    from ullage.data import sensors_of
-
-    report("finding clock and range offsets")
-    parts = [_calibrated(part, report, floor_z_m, places) for part in sensors_of(source.frames())]
-    return {part.sensor: part for part in parts}
-
-
 def _calibrated(part: Frames, report: Callable[[str], None], floor_z_m: float | None, places: Floats | None) -> Frames:
-    """Calibrate one sensor, by surveyed reflectors where there are any.
+    """Calibrate clock and zero range of one sensor against the track, by surveyed reflectors where there are any.
 
     Without them, where the floor's echo contradicts the range offset, calibrate once more with the floor as prior.
     """
     from ullage.processing.calibrate import calibrate
     from ullage.processing.floor import floor_echo
-    from ullage.processing.own_echo import without_own_echo
 
-    out = calibrate(part, reflectors=places, progress=_every_tenth(report))
-    _report_offsets(out, report)
+    def found_with(**known: Any) -> Frames:
+        out = calibrate(part, progress=_every_tenth(report), **known)
+        if (found := out.calibration) is not None:
+            report(
+                f"{out.sensor}: clock {found.t_offset_s:+.4f} s (sigma {found.t_sigma_s:.4f}), "
+                f"range {found.range_offset_m:+.4f} m (sigma {found.range_sigma_m:.4f}), "
+                f"probability {found.probability:.3f}"
+            )
+        return out
+
+    out = found_with(reflectors=places)
     floor = None if floor_z_m is None else floor_echo(without_own_echo(out)[0], floor_z_m)
     found = out.calibration
     if floor is None or found is None:
@@ -507,19 +502,7 @@ def _calibrated(part: Frames, report: Callable[[str], None], floor_z_m: float | 
         return out
     report("calibrating again with the floor as the range's zero")
     range_m = found.range_offset_m - floor.long_m
-    guess = (found.t_offset_s, FLOOR_CLOCK_S, range_m, floor.sigma_m)
-    out = calibrate(part, guess=guess, progress=_every_tenth(report))
-    _report_offsets(out, report)
-    return out
-
-
-def _report_offsets(frames: Frames, report: Callable[[str], None]) -> None:
-    if (found := frames.calibration) is not None:
-        report(
-            f"{frames.sensor}: clock {found.t_offset_s:+.4f} s (sigma {found.t_sigma_s:.4f}), "
-            f"range {found.range_offset_m:+.4f} m (sigma {found.range_sigma_m:.4f}), "
-            f"probability {found.probability:.3f}"
-        )
+    return found_with(guess=(found.t_offset_s, FLOOR_CLOCK_S, range_m, floor.sigma_m))
 
 
 def _every_tenth(log: Callable[[str], None]) -> Callable[[float], None]:
@@ -539,5 +522,5 @@ def _track(source: Any) -> Trajectory | None:
     """The poses of the first sensor, all of them."""
     first = next(iter(source.stream()))
     name = next(iter(first))
-    paths = [chunk[name].poses for chunk in source.stream() if name in chunk]
+    paths: list[Trajectory | None] = [chunk[name].poses for chunk in source.stream() if name in chunk]
     return strung(paths)

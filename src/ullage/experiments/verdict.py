@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ullage.arrays import Floats
 from ullage.data import Frames, Metric
@@ -35,7 +36,8 @@ def verdict(
     """
     words, metrics = [_offsets(frames)], [Metric("scatterers", len(scatterers))]
     if frames.calibration is not None:
-        along_m = frames.calibration.t_sigma_s * _speed_m_s(frames)
+        speed_m_s = float(np.sqrt((frames.believed.rates[0] ** 2).sum(1).mean()))  # root mean square
+        along_m = frames.calibration.t_sigma_s * speed_m_s
         range_m = frames.calibration.range_sigma_m
         metrics.append(Metric("offset_shift", float(np.hypot(along_m, range_m)), "m"))
         words.append(
@@ -90,11 +92,6 @@ def _occupied(omap: OccupancyMap) -> Floats:
     return cell_centres(omap.grid, np.flatnonzero(omap.occupied))[:, : omap.grid.dims]
 
 
-def _speed_m_s(frames: Frames) -> float:
-    """Root mean square of the speed along the track [m/s]."""
-    return float(np.sqrt((frames.believed.rates[0] ** 2).sum(1).mean()))
-
-
 def _offsets(frames: Frames) -> str:
     found = frames.calibration
     if found is None:
@@ -131,6 +128,4 @@ def _reflector(mark: Floats, off_m: float) -> str:
 
 def _least(points: Floats, places: Floats) -> float:
     """The least distance between two sets of points; infinite where one is empty."""
-    from scipy.spatial import cKDTree
-
     return float(np.min(cKDTree(points).query(places)[0])) if len(points) and len(places) else float("inf")

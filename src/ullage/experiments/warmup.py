@@ -9,11 +9,14 @@ from typing import Literal
 import numpy as np
 
 from ullage.config import Scenario
-from ullage.data import Frames
+from ullage.data import Frames, Trajectory
+from ullage.grids import Grid
 from ullage.kernels import loops
-from ullage.processing.occupancy import BEST
+from ullage.processing.occupancy import BEST, map_occupancy
 from ullage.radar import warmup as radar
 from ullage.radar.warmup import Job, Log, radar_parts
+from ullage.specs import RadarSpec
+from ullage.world import scenes
 from ullage.world.scene import Scene
 
 
@@ -52,21 +55,16 @@ def _jobs(parts: Iterable[str] | None) -> list[Job]:
 def _flight() -> None:
     from ullage.flight.missions import Waypoints
     from ullage.flight.vehicle import fly
-    from ullage.world import scenes
 
     wall = scenes.plate(width_m=0.5, height_m=0.5, distance_m=2.0)
     fly(Waypoints(np.array([[0.0, 0, 0], [0, 0.1, 0]])), scene=wall, rate_hz=10)
 
 
 def _first_peaks() -> None:
-    from ullage.grids import Grid
-    from ullage.processing.occupancy import map_occupancy
-
     map_occupancy(_few(), Grid.covering(np.array([[-1, -1, -1], [3, 1, 1]]), 0.2), method="elfes")
 
 
 def _surfaces(dims: Literal[2, 3]) -> None:
-    from ullage.grids import Grid
     from ullage.processing.likelihood.methods import likelihood_mapper
 
     floor_z_m = None if dims == 2 else -2.0  # a volume takes the echo for the floor's, and draws it
@@ -83,7 +81,6 @@ def _obstacles() -> None:
 
 
 def _image() -> None:
-    from ullage.grids import Grid
     from ullage.processing.sar import focus
 
     focus(_few(), Grid.covering(np.array([[-1, -1, -1], [3, 1, 1]]), 0.2))
@@ -91,9 +88,6 @@ def _image() -> None:
 
 def _few(half_m: float = 0.1) -> Frames:
     """Some frames with one echo from a line across it, made by no kernel."""
-    from ullage.data import Trajectory
-    from ullage.specs import RadarSpec
-
     spec = RadarSpec.preset("x4m05")
     track = Trajectory.line((0, -half_m, 0), (0, half_m, 0), 0.5, 17)
     samples = np.exp(-(((spec.range_m - 2.0) / 0.1) ** 2)) * np.ones((len(track), 1)) * 1e-3

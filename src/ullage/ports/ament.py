@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from ullage.errors import InputError
+from ullage.files import writing
 
 
 def package_files(
@@ -32,13 +32,11 @@ def write(files: Mapping[str, str], folder: Path) -> Path:
     Raises:
         InputError: the folder cannot be written.
     """
-    try:
+    with writing(folder):
         for path, text in files.items():
             place = folder / path
             place.parent.mkdir(parents=True, exist_ok=True)
             place.write_text(text)
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror}", where=folder) from None
     return folder
 
 

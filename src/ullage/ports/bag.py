@@ -1,11 +1,13 @@
 """Write recordings: MCAP files of ROS 2 messages [MCAP] that ROS 2 tools open and that stay readable after a kill.
 
-The file follows the data's clock: a chunk goes to the file at least every half second of data.
+The file follows the data's clock: a chunk goes to the file at least every half second of data. `repair_bag` finishes
+what a kill left unfinished.
 """
 
 from __future__ import annotations
 
 import fcntl
+import os
 import signal
 import threading
 import time
@@ -19,13 +21,14 @@ from typing import Any
 
 from ullage.data import Detections, Frames, Trajectory
 from ullage.errors import InputError
-from ullage.files import write_whole
+from ullage.files import write_whole, writing
 from ullage.flow import Sink
 from ullage.grids import Image, OccupancyMap
 from ullage.ports import schema as ros
 from ullage.ports.intake import Once
 from ullage.ports.protocol import Item, Passed
 from ullage.ports.publisher import Message, Publisher, Role
+from ullage.ports.replay import MAGIC, McapSource
 from ullage.ports.schema import QUALITIES, Quality
 from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
@@ -44,6 +47,8 @@ OFFERED = """\
   avoid_ros_namespace_conventions: false
 """
 CHUNK_BYTES = 4 << 20
+TAIL = 8
+"""Bytes at the end of a finished file."""
 
 
 class Drain:
@@ -116,12 +121,10 @@ class McapSink(Sink):
             self.path = self.path / "frames.mcap"
         if self.path.exists() and not overwrite:
             raise InputError("exists already", where=self.path, allowed="a new name, or overwrite=True")
-        try:
+        with writing(self.path):
             if self.path != Path(path):
                 self.path.parent.mkdir(exist_ok=True)
             drain = Drain(self.path)
-        except OSError as error:
-            raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
         self._file: Drain | None = drain
         self._writer = mcap_writer(drain)
         self._publisher = Publisher(profile=profile)
@@ -277,3 +280,98 @@ def unbroken() -> Iterator[None]:
         signal.signal(signal.SIGINT, before if before is not None else signal.SIG_DFL)
     if caught and callable(before):
         before(*caught[0])
+
+
+def repair_bag(target: str | Path) -> str:
+    """Give a killed bag its index and its metadata back.
+
+    A folder without `metadata.yaml` whose MCAP file nobody writes any more gets both; everything else is left as it is.
+    What can be read of the file is kept, message by message, under its own name once it is written whole.
+
+    Args:
+        target: a run's folder, a rosbag2 folder, or the MCAP file in one.
+
+    Returns:
+        What was done, in one line; empty where there was nothing to do.
+
+    Raises:
+        InputError: the folder cannot be written, or the disk is full.
+    """
+    bag = _unfinished(Path(target))
+    if bag is None:
+        return ""
+    with _owned(bag) as owned:
+        if not owned:
+            return ""
+        finished, topics = _is_finished(bag), Topics()
+        if finished:
+            with open(os.devnull, "wb") as nowhere:
+                _copy(bag, nowhere, topics)
+        else:
+            write_whole(bag, lambda out: _copy(bag, out, topics))
+        if not topics.counts:
+            return ""
+        write_metadata(bag, topics)
+    what = "metadata.yaml" if finished else "its index and metadata.yaml"
+    return f"{bag.parent}: the recording was never finished; it has {what} now, with {topics.counts.total()} messages"
+
+
+def _unfinished(target: Path) -> Path | None:
+    """The MCAP file of a bag without a description."""
+    folder = target if target.is_dir() else target.parent
+    found = sorted(folder.glob("*.mcap")) if target.is_dir() else [target]
+    alone = len(found) == 1 and len(list(folder.glob("*.mcap"))) == 1
+    named = target.is_dir() or target.name == "frames.mcap"
+    if not (alone and named and target.exists()) or (folder / "metadata.yaml").exists():
+        return None
+    with found[0].open("rb") as file:
+        return found[0] if file.read(len(MAGIC)) == MAGIC else None
+
+
+@contextmanager
+def _owned(bag: Path) -> Iterator[bool]:
+    """Return whether no process writes the file: a writer holds a lock until it ends, also by a kill."""
+    try:
+        file = open(bag, "rb")  # noqa: SIM115 (closed below)
+    except OSError:
+        yield False
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield os.access(bag.parent, os.W_OK)
+    except BlockingIOError:
+        yield False
+    finally:
+        file.close()
+
+
+def _is_finished(bag: Path) -> bool:
+    with bag.open("rb") as file:
+        file.seek(max(bag.stat().st_size - TAIL, 0))
+        return bag.stat().st_size > 2 * TAIL and file.read(TAIL) == MAGIC
+
+
+def _copy(bag: Path, out: Any, topics: Topics) -> None:
+    """Write every message that can be read anew, and count it."""
+    from mcap.records import Channel, Header, Message, Schema
+
+    writer, started = mcap_writer(out), False
+    schemas: dict[int, tuple[str, int]] = {0: ("", 0)}  # name, and number in the copy
+    channels: dict[int, tuple[str, int]] = {}
+    for record in McapSource(bag).records():
+        if not started:
+            writer.start(profile=record.profile if isinstance(record, Header) else "", library="ullage")
+            started = True
+        if isinstance(record, Schema) and record.id not in schemas:
+            schemas[record.id] = record.name, writer.register_schema(record.name, record.encoding, record.data)
+        elif isinstance(record, Channel) and record.id not in channels and record.schema_id in schemas:
+            topic, (kind, schema) = record.topic, schemas[record.schema_id]
+            number = writer.register_channel(topic, record.message_encoding, schema, record.metadata)
+            channels[record.id] = topic, number
+            topics.kinds[topic], topics.offered[topic] = kind, record.metadata.get("offered_qos_profiles", "")
+        elif isinstance(record, Message) and record.channel_id in channels:
+            topic, number = channels[record.channel_id]
+            writer.add_message(number, record.log_time, record.data, record.publish_time, record.sequence)
+            topics.count(topic, record.log_time)
+    if started:
+        writer.finish()

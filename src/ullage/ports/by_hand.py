@@ -218,15 +218,12 @@ class HandFlownSource(CosimulationSource):
         check_clear(start, options.vehicle, scene)
         vehicle = Steered(options.vehicle, scene=scene, start=start)
         self.flight = HandFlight(vehicle, Pilot(options), controls, state_hz=options.state_hz)
-        self._air = FlightFeed(self.flight, options.pace, self._pass_on)
+        self._air = FlightFeed(self.flight, options.pace, lambda *flown: self.passing.give(partial(self._told, *flown)))
         self._options, self._body = options, frame_prefix + BODY
         self._sonar = Sonar(scene)
         self._imu = MPU6000.but(rate_hz=options.state_hz) if options.imu_noise else None
         self._touched = 0
         super().__init__(lambda: self._air, scene, rig, options, log=log)
-
-    def _pass_on(self, states: list[State], epoch_ns: int) -> None:
-        self.passing.give(partial(self._told, states, epoch_ns))
 
     def _told(self, states: list[State], epoch_ns: int) -> Iterator[Passed | Trajectory]:
         """Give the path along some states and the readings of the other sensors."""

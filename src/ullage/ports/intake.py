@@ -378,7 +378,8 @@ class Stream(Generic[ItemT]):
         elif -LATE_NS < ahead_ns < 0:
             self._counters.drop(self.topic, "late")
         elif 0 < ahead_ns <= GAP_NS:
-            return self._go_on(stamp_ns, item)
+            self.elapsed_ns += ahead_ns
+            return self._give(stamp_ns, item, starts=False)
         else:
             self._waiting = stamp_ns, item
         return []
@@ -415,11 +416,6 @@ class Stream(Generic[ItemT]):
     def _begin(self, stamp_ns: int, item: ItemT) -> list[Stamped[ItemT]]:
         self.epoch = self._clock._enter(self, stamp_ns)
         return self._give(stamp_ns, item, starts=True)
-
-    def _go_on(self, stamp_ns: int, item: ItemT) -> list[Stamped[ItemT]]:
-        assert self.last_ns is not None
-        self.elapsed_ns += stamp_ns - self.last_ns
-        return self._give(stamp_ns, item, starts=False)
 
     def _give(self, stamp_ns: int, item: ItemT, *, starts: bool) -> list[Stamped[ItemT]]:
         assert self.epoch is not None

@@ -15,7 +15,7 @@ from urllib.parse import parse_qsl
 from ullage import plugins
 from ullage.data import Frames, gathered
 from ullage.errors import InputError
-from ullage.flow import Closing, Sink
+from ullage.flow import Closing
 from ullage.ports.intake import PATIENCE_S, Counters, Inbox, Log, warn
 from ullage.ports.protocol import Passing, Source, one_or_all
 from ullage.specs import Spec
@@ -226,16 +226,6 @@ class Address:
             raise InputError(f"live {self.scheme} is not part of this version", where=where, allowed=LISTED)
         kind = getattr(made, "settings", None)
         return made(self.place, self.options if kind is None else options_of(kind, self.options, where))
-
-    def source(self) -> Source:
-        """Open the port as a source."""
-        source: Source = self.open("source")
-        return source
-
-    def sink(self) -> Sink:
-        """Open the port as a sink."""
-        sink: Sink = self.open("sink")
-        return sink
 
 
 Options = TypeVar("Options", bound=Spec)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -13,9 +14,9 @@ from numpy.typing import NDArray
 
 from ullage import checks
 from ullage.data import Detections, Frames, Trajectory, gathered
-from ullage.errors import InputError
+from ullage.errors import DamageWarning, InputError, UllageWarning
 from ullage.grids import Image, OccupancyMap
-from ullage.ports.intake import warn
+from ullage.ports.intake import Counters, warn
 from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
 
@@ -123,6 +124,12 @@ class Recording(Source):
         if not whole:
             raise InputError("no radar frames in it", where=self.path, allowed=self.holds)
         return one_or_all(whole, sensor)
+
+    def _warn_of_dropped(self, counters: Counters) -> None:
+        """Warn of messages that were not used, at the end of a stream."""
+        kind = DamageWarning if counters.dropped("bad") else UllageWarning
+        for line in counters.lines():
+            warnings.warn(f"{self.path}: {line}", kind, stacklevel=3)
 
 
 class WholeSource(Source):

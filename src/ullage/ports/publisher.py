@@ -22,6 +22,7 @@ from ullage.ports.conversions import BODY, WORLD
 from ullage.ports.protocol import Item, Passed
 from ullage.ports.rate_limiter import LEAP_S, STEP_BACK_S
 from ullage.ports.schema import TOPICS, Quality, topic_name
+from ullage.processing.detect import detect
 from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
 
@@ -53,12 +54,6 @@ def on(topic: str, t_ns: int, data: bytes, *, sensor: str = "") -> Message:
 def in_order(message: Message) -> tuple[int, bool]:
     """Sort messages by time, with /clock before the other messages of its time."""
     return message.t_ns, message.topic != "/clock"
-
-
-def stamps_of(parts: list[Frames]) -> list[int]:
-    """Return the distinct times of frames in ascending order [ns]."""
-    times: list[int] = np.unique(np.concatenate([part.t_ns for part in parts])).tolist()
-    return times
 
 
 def is_present(t_ns: int) -> bool:
@@ -161,9 +156,9 @@ class PathFlown:
         """Encode the path if it is due."""
         wait_s = max(1.0, len(self._points) / PATH_POINTS_PER_S)
         due = self._sent_ns is None or abs(t_ns - self._sent_ns) >= wait_s * 1e9 or final
-        if due and t_ns != self._sent_ns and self._points and (flown := strung(self._points)) is not None:
+        if due and t_ns != self._sent_ns and self._points:
             self._sent_ns = t_ns
-            yield on("path", t_ns, encode.path_message(flown))
+            yield on("path", t_ns, encode.path_message(strung(self._points)))
 
 
 class Publisher:
@@ -214,7 +209,8 @@ class Publisher:
         if isinstance(item, Frames | Mapping):
             parts = sensors_of(item)
             found = self._of_frames(parts)
-            found += [tick for t_ns in stamps_of(parts) for tick in self._clock.until(t_ns)]
+            times = np.unique(np.concatenate([part.t_ns for part in parts])).tolist()
+            found += [tick for t_ns in times for tick in self._clock.until(t_ns)]
         elif isinstance(item, Trajectory):
             self._roles.add(role)
             found = self._begin(int(item.t_ns[0])) + list(self._of_body(item, role))
@@ -277,8 +273,6 @@ class Publisher:
         yield on("/tf_static", t_ns, encode.fixed_message(t_ns, self._fixed))
 
     def _of_radar(self, frames: Frames) -> Iterator[Message]:
-        from ullage.processing.detect import detect
-
         topic, frame_id = f"radar/{topic_name(frames.sensor)}", self._prefix + frames.sensor
         yield from self._settings_messages(frames, topic, frame_id)
         start = self.counts.get(topic, 0)

@@ -129,20 +129,14 @@ def _recording(scans: NDArray[Any], t_ns: Longs, range_m: Floats, integration: i
 
 
 def _assemble(packets: NDArray[np.void], path: Path) -> tuple[NDArray[np.int32], Longs]:
-    info = packets[(packets["kind"] == SCAN_INFO) & (packets["here"] <= 350)]
-    if not len(info):
+    scan = (packets["kind"] == SCAN_INFO) & (packets["here"] <= 350)
+    if not scan.any():
         raise InputError("no range scans in it", where=path, allowed="a PulsON 440 MRM log")
-    shapes, counts = np.unique(info[["total", "packets"]], return_counts=True)
+    shapes, counts = np.unique(packets[scan][["total", "packets"]], return_counts=True)
     bins, per_scan = (int(value) for value in shapes[np.argmax(counts)])
     if not (8 <= bins <= 65536 and per_scan == -(-bins // 350)):
         raise InputError(f"says {bins} samples in {per_scan} packets", where=path, allowed="350 samples a packet")
-    good = (
-        (packets["kind"] == SCAN_INFO)
-        & (packets["here"] <= 350)
-        & (packets["total"] == bins)
-        & (packets["packets"] == per_scan)
-        & (packets["index"] < per_scan)
-    )
+    good = scan & (packets["total"] == bins) & (packets["packets"] == per_scan) & (packets["index"] < per_scan)
     if not good.any():
         raise InputError("no range scans in it", where=path, allowed="a PulsON 440 MRM log")
     if not good.all():
@@ -151,9 +145,9 @@ def _assemble(packets: NDArray[np.void], path: Path) -> tuple[NDArray[np.int32],
     new = np.concatenate(
         [[True], (np.diff(kept["message"].astype(np.int64)) != 0) | (np.diff(kept["t_ms"].astype(np.int64)) != 0)]
     )
-    scan = np.cumsum(new) - 1
-    scans = np.zeros((scan[-1] + 1, per_scan, 350), np.int32)
-    scans[scan, kept["index"]] = kept["samples"]
+    number = np.cumsum(new) - 1
+    scans = np.zeros((number[-1] + 1, per_scan, 350), np.int32)
+    scans[number, kept["index"]] = kept["samples"]
     dropped = scans.shape[0] * per_scan - len(kept)
     if dropped > 0:
         warn(f"{path}: {dropped} packets are missing; their samples are zero")

@@ -5,17 +5,18 @@ from __future__ import annotations
 import inspect
 import logging
 import os
-from collections.abc import Callable
+import stat
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from ullage import plugins
+from ullage import checks, plugins
+from ullage.data import Frames
 from ullage.errors import InputError, need, shown
 from ullage.flow import Sink
 from ullage.grids import OccupancyMap
 from ullage.ports.arrays import refuse_pickle
-from ullage.ports.guarded import GuardedSource, only_files
 from ullage.ports.live import LISTED, LISTED_SINKS, LIVE, Address, named
 from ullage.ports.protocol import Item, Source, WholeSource
 from ullage.ports.tracked import open_tracked
@@ -78,7 +79,8 @@ def open(target: str | Path, **options: Any) -> Source:
         path, options = Path(name), _written_options(str(target)) | options
     if not os.path.exists(path):
         if address := Address.of(target, **options):
-            return address.source()
+            live: Source = address.open("source")
+            return live
         raise InputError("no such file or folder", where=target, allowed=f"{SOURCES}; or live: {LISTED}")
     with reading(path):
         source = _opened(path, options)
@@ -154,7 +156,8 @@ def sink(target: str | Path, **options: Any) -> Sink:
     if address := Address.of(target, **options):
         if not address.known or address.part("sink") is None:
             raise InputError("not something to write to", where=target, allowed=SINKS)
-        return address.sink()
+        live: Sink = address.open("sink")
+        return live
     check_beside(path)
     kind = _kind_of_sink(path)
     if kind in MAPS:
@@ -327,3 +330,59 @@ def _open_file(path: Path, options: dict[str, Any]) -> Source:
         read_yaml(metadata)  # the library that reads it knows no limits
     reader: Callable[..., Source] = named(FILES[suffix_of(path)][0])
     return with_options(reader, path, options)
+
+
+class GuardedSource:
+    """A recording whose reader may raise anything.
+
+    A reader that knows where it stands says so in an attribute `place`, such as "message 17 of /radar/front".
+
+    Args:
+        source: the reader.
+        path: the file that it reads.
+    """
+
+    def __init__(self, source: Source, path: Path) -> None:
+        self._source, self._file = source, path
+
+    def __getattr__(self, name: str) -> Any:
+        if not hasattr(type(self._source), name):
+            return getattr(self._source, name)  # nothing is read for it, or there is no such thing
+        found = self._call(lambda: getattr(self._source, name))
+        if not callable(found):
+            return found
+        return lambda *args, **options: self._call(lambda: found(*args, **options))
+
+    def _call(self, work: Callable[[], Any]) -> Any:
+        with reading(self._file, place=lambda: str(getattr(self._source, "place", ""))):
+            return work()
+
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """Give the frames in order of time, at most `chunk` of each sensor at once."""
+        checks.whole("chunk", chunk, "stream", low=1)
+        pieces = self._call(lambda: iter(self._source.stream(chunk)))
+        while (piece := self._call(lambda: next(pieces, None))) is not None:
+            yield piece
+
+
+def only_files(folder: Path, *, below: bool) -> None:
+    """Refuse a folder that holds anything but folders and regular files: a reader would wait for a pipe without end.
+
+    Args:
+        folder: what is to be read.
+        below: look into its folders too, from which stores and bags read.
+
+    Raises:
+        InputError: something in it is a pipe, a socket or a device.
+    """
+    for place, _, names in os.walk(folder):
+        for name in names:
+            path = Path(place, name)
+            try:
+                mode = path.stat().st_mode
+            except OSError:
+                continue  # a broken link: the reader reports it
+            if not stat.S_ISREG(mode):
+                raise InputError("is a pipe, a socket or a device", where=path, allowed="regular files")
+        if not below:
+            return

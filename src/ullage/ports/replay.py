@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ullage.data import Frames, Trajectory, joined
-from ullage.errors import DamageWarning, InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions
 from ullage.ports import schema as ros
 from ullage.ports.intake import Clock, Counters, Stamped, Stream, warn
 from ullage.ports.protocol import Recording
+from ullage.untrusted import reading
 
 if TYPE_CHECKING:
     from ullage.flight.live import Wish
@@ -61,11 +62,8 @@ class McapSource(Recording):
 
     def __init__(self, path: str | Path) -> None:
         super().__init__(path)
-        try:
-            with open(self.path, "rb") as file:
-                magic = file.read(len(MAGIC))
-        except OSError as error:
-            raise InputError(f"cannot read: {error.strerror}", where=self.path) from None
+        with reading(self.path), open(self.path, "rb") as file:
+            magic = file.read(len(MAGIC))
         if magic != MAGIC:
             raise InputError("not an MCAP recording" if magic else "empty file", where=self.path, allowed="MCAP")
         self.place = ""
@@ -96,9 +94,7 @@ class McapSource(Recording):
         for mine in waiting.values():
             mine.stream.finish()
         yield from self._made(waiting, counters)
-        damaged = counters.dropped("bad") > 0
-        for line in counters.lines():
-            warnings.warn(f"{self.path}: {line}", DamageWarning if damaged else UllageWarning, stacklevel=2)
+        self._warn_of_dropped(counters)
 
     def _sensor(self, data: bytes, waiting: dict[str, Waiting], counters: Counters) -> Waiting | None:
         """What waits of the sensor that a message names; None where it cannot be read."""

@@ -398,7 +398,9 @@ def _value(of: Any, given: Any) -> Any:
         return _several(each, given)
     if each[0] == "string":
         return list(given or [])
-    return _numbers_of(each[0], size, given)
+    if isinstance(given, bytes | bytearray | memoryview):
+        return np.frombuffer(bytes(given), np.uint8)
+    return np.asarray(given, each[0]) if given is not None else np.zeros(size, each[0])
 
 
 def _several(kind: str, given: Any) -> list[Any]:
@@ -406,12 +408,6 @@ def _several(kind: str, given: Any) -> list[Any]:
         made = typestore().types[kind]
         return [made(*row) for row in given.tolist()]
     return [_made(kind, one) for one in given or []]
-
-
-def _numbers_of(form: str, size: int, given: Any) -> NDArray[Any]:
-    if isinstance(given, bytes | bytearray | memoryview):
-        return np.frombuffer(bytes(given), np.uint8)
-    return np.asarray(given, form) if given is not None else np.zeros(size, form)
 
 
 def decoded(kind: str, data: bytes) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ullage.data import Calibration, Frames, joined, sensors_of
 from ullage.errors import InputError, need
+from ullage.files import writing
 from ullage.flow import Sink
 from ullage.grids import Grid, OccupancyMap
 from ullage.ports import conversions
@@ -42,11 +43,9 @@ class ZarrSink(Sink):
         if self.path.exists() and not overwrite:
             raise InputError("exists already", where=self.path, allowed="a new name, or overwrite=True")
         self._folder = self.path.with_name(f".{self.path.name}.{os.getpid()}")
-        try:
+        with writing(self.path):
             shutil.rmtree(self._folder, ignore_errors=True)
             self._root: Any = zarr.create_group(str(self._folder), attributes={"format": "ullage frames 1"})
-        except OSError as error:
-            raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
         self._waiting: dict[str, list[Frames]] = {}
         self._open = True
 
@@ -73,7 +72,7 @@ class ZarrSink(Sink):
         for name, path in (("poses", frames.poses), ("truth", frames.truth)):
             if path is not None:
                 columns[name] = conversions.state_columns(path)
-        try:
+        with writing(self.path):
             if sensor not in self._root:
                 self._begin(frames, columns)
             group = self._root[sensor]
@@ -81,8 +80,6 @@ class ZarrSink(Sink):
                 raise InputError("poses come and go", where=sensor, allowed="poses with all frames or none")
             for name, values in columns.items():
                 group[name].append(values)
-        except OSError as error:
-            raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
 
     def _begin(self, frames: Frames, columns: dict[str, Any]) -> None:
         about = {
@@ -112,12 +109,10 @@ class ZarrSink(Sink):
         for sensor in list(self._waiting):
             self._store(sensor)
         self._open = False
-        try:
+        with writing(self.path):
             if self.path.exists():
                 shutil.rmtree(self.path)
             self._folder.rename(self.path)
-        except OSError as error:
-            raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
 
 
 class ZarrSource(Recording):

@@ -16,8 +16,7 @@ from ullage.ports.intake import warn
 from ullage.ports.motive import read_tracks
 from ullage.ports.protocol import Source, WholeSource
 from ullage.ports.pulson import read_arrays, read_log, read_scans
-from ullage.ports.survey import Survey, read_survey
-from ullage.ports.tracks import read_bodies
+from ullage.ports.tracks import Survey, read_bodies, read_survey
 from ullage.ports.vehicle_logs import read_dataflash, read_nmea, read_ulog
 from ullage.specs import MountSpec
 from ullage.untrusted import reading

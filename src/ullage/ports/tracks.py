@@ -1,14 +1,21 @@
-"""Tracks of a radar from text files: Motive exports, TUM and EuRoC trajectories, and CSV with named columns.
+"""Tracks of a radar and surveyed reflectors from text files.
+
+Tracks are Motive exports, TUM and EuRoC trajectories, and CSV with named columns.
 
 All but Motive's are world_from_radar with z up: a row is one pose. TUM: time [s], x, y, z [m], quaternion x, y, z, w,
 between blanks [TUM2012]. EuRoC: a header with `#timestamp`, time [ns], x, y, z, quaternion w, x, y, z [EuRoC2016].
 Named columns: `t_s` or `t_ns`, `x_m`, `y_m`, `z_m` and, where the attitude is known,
 `qx`, `qy`, `qz`, `qw`, in any order. Poses that cannot be are left out and counted, as live ports do.
+
+Surveyed reflectors are `reflectors.csv` with the columns `x_m`, `y_m`, `z_m` and optionally `name`. Places are in the
+frame of reference of the track as ullage gives it: z up, metres; a Motive export becomes (X, -Z, Y).
 """
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 
@@ -29,6 +36,9 @@ PLACE, TURN = ("x_m", "y_m", "z_m"), ("qx", "qy", "qz", "qw")
 TUM = ("t_s", *PLACE, *TURN)
 EUROC = ("t_ns", *PLACE, "qw", "qx", "qy", "qz")
 MOST_M, MOST_S = 1e6, 9e9
+COLUMNS = "columns x_m, y_m, z_m and, if wanted, name"
+SURVEY_M, MOST_REFLECTORS = 1e4, 1000
+"""How far from the origin a surveyed reflector may be, and how many of them a file may hold."""
 
 
 def read_bodies(path: str | Path) -> dict[str, Trajectory]:
@@ -46,41 +56,37 @@ def read_bodies(path: str | Path) -> dict[str, Trajectory]:
         return read_tracks(path)
     first = next(line for line in lines if line.strip())
     named = [name.strip() for name in first.split(",")]
-    if first.startswith("#timestamp"):
-        return {"radar": _track(_rows(lines, ",", EUROC, path), EUROC, path)}
-    if "x_m" in named:
-        return {
-            "radar": _track(
-                _rows(lines[lines.index(first) + 1 :], ",", named, path, lines.index(first) + 2), named, path
-            )
-        }
+    names: Sequence[str] = named if "x_m" in named else EUROC if first.startswith("#timestamp") else TUM
     numbers = next((line for line in lines if line.strip() and not line.startswith("#")), "")
-    if len(numbers.split()) == len(TUM):
-        return {"radar": _track(_rows(lines, " ", TUM, path), TUM, path)}
-    raise InputError("of no known kind of track", where=path, line=1, allowed=KINDS)
+    if names is TUM and len(numbers.split()) != len(TUM):
+        raise InputError("of no known kind of track", where=path, line=1, allowed=KINDS)
+    header = lines.index(first) + 1 if names is named else 0
+    rows = [row for row in _lines_of_cells(lines, blanks=names is TUM) if row[0] > header]
+    return {"radar": _track(_numbers(rows, names, path), names, path)}
 
 
-def _rows(
-    lines: list[str], mark: str, names: tuple[str, ...] | list[str], path: Path, start: int = 1
-) -> list[list[str]]:
-    """The cells of every pose; comments and empty lines are left out."""
-    out = []
-    blanks = map(str.split, lines) if mark == " " else csv.reader(lines, delimiter=mark, skipinitialspace=True)
-    for number, kept in enumerate(blanks, start):
-        if not any(cell.strip() for cell in kept) or kept[0].startswith("#"):
-            continue
-        if len(kept) < len(names):
-            raise InputError(f"{len(kept)} cells", where=path, line=number, allowed=", ".join(names))
+def _lines_of_cells(lines: list[str], *, blanks: bool = False) -> Iterator[tuple[int, list[str]]]:
+    """Give number and cells of each line, with commas or blanks between; comments and empty lines are left out."""
+    split = map(str.split, lines) if blanks else csv.reader(lines, skipinitialspace=True)
+    for number, cells in enumerate(split, 1):
+        if any(cell.strip() for cell in cells) and not cells[0].startswith("#"):
+            yield number, cells
+
+
+def _numbers(rows: list[tuple[int, list[str]]], names: Sequence[str], path: Path) -> list[list[str]]:
+    """The cells of every pose, all of them numbers."""
+    for number, cells in rows:
+        if len(cells) < len(names):
+            raise InputError(f"{len(cells)} cells", where=path, line=number, allowed=", ".join(names))
         try:
-            for cell in kept[: len(names)]:
+            for cell in cells[: len(names)]:
                 float(cell)
         except ValueError:
             raise InputError("a cell is not a number", where=path, line=number, allowed=", ".join(names)) from None
-        out.append(kept)
-    return out
+    return [cells for _, cells in rows]
 
 
-def _track(rows: list[list[str]], names: tuple[str, ...] | list[str], path: Path) -> Trajectory:
+def _track(rows: list[list[str]], names: Sequence[str], path: Path) -> Trajectory:
     at = {name: index for index, name in enumerate(names)}
     clock = "t_ns" if "t_ns" in at else "t_s"
     if missing := [name for name in (clock, *PLACE) if name not in at]:
@@ -142,3 +148,53 @@ def _times(cells: list[str], clock: str, path: Path) -> tuple[Longs, NDArray[np.
         raise InputError("times are absurd", where=path, allowed=f"|t| < {MOST_S:g} s")
     exact = [round(Decimal(cell.strip()) * unit) if good else 0 for cell, good in zip(cells, timed, strict=True)]
     return np.array(exact, np.int64), timed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey:
+    """Places of reflectors."""
+
+    places: Floats  # (r, 3) world [m]
+    names: tuple[str, ...]
+
+
+def read_survey(path: str | Path) -> Survey:
+    """Read the places of reflectors from a file with named columns.
+
+    Raises:
+        InputError: a column is missing, a cell is no finite number within 10 km, a place comes twice, or there is none.
+    """
+    path = Path(path)
+    with reading(path):
+        lines = path.read_text("utf-8-sig", errors="replace").splitlines()
+    rows = [(number, [cell.strip() for cell in cells]) for number, cells in _lines_of_cells(lines)]
+    if not rows:
+        raise InputError("the file is empty", where=path, allowed=COLUMNS)
+    (first, header), *rest = rows
+    if missing := [name for name in PLACE if name not in header]:
+        raise InputError(f"no column {', '.join(missing)}", where=path, line=first, allowed=COLUMNS)
+    if unknown := [name for name in header if name not in (*PLACE, "name")]:
+        raise InputError(f"unknown column {unknown[0]!r}", where=path, line=first, allowed=COLUMNS)
+    if not 1 <= len(rest) <= MOST_REFLECTORS:
+        raise InputError(f"{len(rest)} reflectors", where=path, allowed=f"1 .. {MOST_REFLECTORS}")
+    found = [_row(dict(zip(header, cells, strict=False)), path, number) for number, cells in rest]
+    places = np.array([place for place, _ in found])
+    for k, (number, _) in enumerate(rest):
+        if (np.linalg.norm(places[:k] - places[k], axis=1) < 1e-3).any():
+            raise InputError("the place of an earlier line", where=path, line=number, allowed="each reflector once")
+    return Survey(places, tuple(name or str(k + 1) for k, (_, name) in enumerate(found)))
+
+
+def _row(cells: dict[str, str], path: Path, number: int) -> tuple[list[float], str]:
+    """Place and name in one line."""
+    place = []
+    for name in PLACE:
+        try:
+            value = float(cells.get(name, ""))
+        except ValueError:
+            value = float("nan")
+        if not abs(value) <= SURVEY_M:
+            what = f"{name} is {cells.get(name, '')!r}"
+            raise InputError(what, where=path, line=number, allowed=f"a number within {SURVEY_M:g} m of the origin")
+        place.append(value)
+    return place, cells.get("name", "")

@@ -21,6 +21,7 @@ from ullage.geometry import C0
 from ullage.ports.intake import warn
 from ullage.ports.protocol import Recording, mend_clock
 from ullage.specs import RadarSpec
+from ullage.untrusted import reading
 
 DRIVER_C = 3e8
 FORMATS = "xethru_datafloat_*.dat or xethru_baseband_iq_*.dat"
@@ -80,12 +81,8 @@ def open_rows(path: Path, fps: float, range_start_m: float | None) -> Rows:
     Raises:
         InputError: it is neither, or holds no whole frame.
     """
-    try:
-        size = path.stat().st_size
-        with open(path, "rb") as file:
-            head = file.read(24)
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", where=path) from None
+    with reading(path), open(path, "rb") as file:
+        size, head = path.stat().st_size, file.read(24)
     if len(head) < 24:
         raise InputError(f"{size} bytes hold no frame" if size else "empty file", where=path, allowed=FORMATS)
     kind, _, count = struct.unpack("<III", head[:12])

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
+from ullage.files import write_whole, writing
 from ullage.grids import UNKNOWN, Image, OccupancyMap
 from ullage.view.map_picture import map_picture, plane_of
-from ullage.view.saving import save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,6 +54,18 @@ def drawing(
     yield figure, axes
     fit_titles(figure)
     save_figure(figure, Path(path), dpi=130)
+
+
+def save_figure(figure: Figure, path: Path, *, dpi: int = 110) -> Path:
+    """Write a figure in the format of its suffix, and make its folder.
+
+    Raises:
+        InputError: the folder cannot be written, or the disk is full.
+    """
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, lambda out: figure.savefig(out, dpi=dpi, format=path.suffix[1:]))
+    return path
 
 
 def fit_titles(figure: Figure) -> None:

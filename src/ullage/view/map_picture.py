@@ -25,9 +25,12 @@ def map_picture(omap: OccupancyMap, *, level: int | None = None, free_alpha: int
         level: index along z, of a volume; None: the highest chance of each column.
         free_alpha: opacity of free cells; the others are opaque in proportion to their chance of being occupied.
     """
+    from scipy.ndimage import maximum_filter
+
     percent = plane_of(omap, level)
     block = np.ones((PIXELS, PIXELS), np.int8)
-    fine = np.maximum(np.kron(percent, block), _grown(np.kron(_thin(percent, omap.occupied_from), block)))
+    thin = np.kron(_thin(percent, omap.occupied_from), block)
+    fine = np.maximum(np.kron(percent, block), maximum_filter(thin, size=PIXELS + 1, mode="nearest"))
     out = np.zeros((*fine.shape, 4), np.uint8)
     known = fine >= 0
     chance = fine[known] / 100
@@ -60,10 +63,3 @@ def _thin(percent: NDArray[np.int8], occupied_from: int) -> NDArray[np.int8]:
 
     occupied = percent >= occupied_from
     return np.where(occupied & ~binary_opening(occupied, np.ones((2, 2), bool)), percent, AMBIGUOUS).astype(np.int8)
-
-
-def _grown(fine: NDArray[np.int8]) -> NDArray[np.int8]:
-    """Return the highest value within half a cell in each axis."""
-    from scipy.ndimage import maximum_filter
-
-    return np.asarray(maximum_filter(fine, size=PIXELS + 1, mode="nearest"))

@@ -12,13 +12,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import to_rgb
 from PIL import Image, ImageDraw, ImageFont
 
-from ullage.arrays import Floats, Ints
+from ullage.arrays import Floats
 from ullage.errors import InputError, UllageError
 from ullage.files import write_whole
 from ullage.geometry import quat_matrix
 from ullage.view.replay import AMBIGUOUS_CELL, FREE_CELL, OCCUPIED_CELL, read_replay, unpacked
+from ullage.view.viewer_scene import rgba
+from ullage.view.world_picture import corners_of
 from ullage.world import shapes
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -140,7 +143,7 @@ class _Show:
         self._radars = [_Radar(one, BEAM_SHARE * self._size) for one in tree["radars"]]
         self.frames = len(self._radars[0].t)
         solids = list(_world(tree["world"], self._size)) if tree["world"] else []
-        outlines = [one.corners.reshape(-1, 3) for one in solids] or [_corners_of(box)]
+        outlines = [one.corners.reshape(-1, 3) for one in solids] or [corners_of(box)]
         points = np.concatenate([self._path, *outlines])
         height = round(width_px * 9 / 16)
         self._camera = _Camera.around(points, (2 * height, 2 * width_px))  # two by two rays a pixel
@@ -181,10 +184,10 @@ class _Show:
         mine = np.flatnonzero(box)
         if not len(mine):
             return
-        hit, near = _hits(self._camera.eye, self._rays[mine], corners)
+        hit, near = _caster(corners).hits(np.broadcast_to(self._camera.eye, (len(mine), 3)), self._rays[mine])
         mine, near = mine[hit >= 0], near[hit >= 0]
         mine = mine[near < depth[mine]]
-        color[mine] = (1 - BEAM_ALPHA) * color[mine] + BEAM_ALPHA * _rgb(radar.color)
+        color[mine] = (1 - BEAM_ALPHA) * color[mine] + BEAM_ALPHA * np.array(to_rgb(radar.color))
 
     def _framed(self, world: Image.Image, number: int, t: float) -> Image.Image:
         """Add the profiles below and the captions."""
@@ -197,7 +200,7 @@ class _Show:
         pen.text((12, 32), "amber: occupied, green: free", fill=SOFT, font=_font(12), **edge)
         if missed := [one["name"] for one in (self._tree["world"] or {"objects": []})["objects"]
                       if one["state"] == "missed"]:  # fmt: skip
-            pen.text((12, 48), f"red: missed ({', '.join(missed)})", fill=_bytes(MISSED), font=_font(12), **edge)
+            pen.text((12, 48), f"red: missed ({', '.join(missed)})", fill=rgba(MISSED), font=_font(12), **edge)
         wide = world.width / len(self._radars)
         for k, radar in enumerate(self._radars):
             radar.plot(pen, number, (k * wide + 8, world.height + 4, (k + 1) * wide - 8, out.height - 6))
@@ -228,8 +231,8 @@ class _Radar:
         x = np.linspace(left, right, len(level))
         y = bottom - 12 - level * (bottom - top - 30)
         pen.line([(left, bottom - 12), (right, bottom - 12)], fill=SOFT)
-        pen.line(list(zip(x.tolist(), y.tolist(), strict=True)), fill=_bytes(self.color), width=2)
-        pen.text((left, top), self.name, fill=_bytes(self.color), font=_font(12))
+        pen.line(list(zip(x.tolist(), y.tolist(), strict=True)), fill=rgba(self.color), width=2)
+        pen.text((left, top), self.name, fill=rgba(self.color), font=_font(12))
         pen.text((right - 34, bottom - 12), f"{self._far:.0f} m", fill=SOFT, font=_font(11))
 
 
@@ -275,7 +278,7 @@ class _Map:
         state = self._cells[self._under]
         for kind, (hex_color, alpha) in CELLS.items():
             mine = self._pixels[seen & (state == kind)]
-            color[mine] = (1 - alpha) * color[mine] + alpha * _rgb(hex_color)
+            color[mine] = (1 - alpha) * color[mine] + alpha * np.array(to_rgb(hex_color))
 
 
 def _world(tree: Mapping[str, Any], size: float) -> Iterator[_Solid]:
@@ -289,11 +292,6 @@ def _world(tree: Mapping[str, Any], size: float) -> Iterator[_Solid]:
             yield _Solid(
                 _tube(ends.astype(float), max(float(radius), size * (MISSED_SHARE if missed else WIRE_SHARE))), color
             )
-
-
-def _corners_of(box: Floats) -> Floats:
-    """Return the corners (8, 3) of a box (2, 3)."""
-    return np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
 
 
 def _drone(position: Floats, quat: Floats, span: float) -> Floats:
@@ -340,7 +338,7 @@ def _cast(eye: Floats, rays: Floats, solids: list[_Solid]) -> tuple[Colors, Floa
     owner = np.repeat(np.arange(len(solids)), [len(one.corners) for one in solids])
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    colors, inside = np.array([_rgb(one.color) for one in solids]), np.array([one.inside_only for one in solids])
+    colors, inside = np.array([to_rgb(one.color) for one in solids]), np.array([one.inside_only for one in solids])
     left, passed = np.arange(len(rays)), np.zeros(len(rays))
     caster = _caster(corners)
     for _ in range(LAYERS):
@@ -358,21 +356,9 @@ def _cast(eye: Floats, rays: Floats, solids: list[_Solid]) -> tuple[Colors, Floa
     return color, depth
 
 
-def _hits(eye: Floats, rays: Floats, corners: Floats) -> tuple[Ints, Floats]:
-    return _caster(corners).hits(np.broadcast_to(eye, rays.shape), rays)
-
-
 def _caster(corners: Floats) -> Raycaster:
     faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
     return Raycaster(Scene.of_mesh(corners.reshape(-1, 3), faces, name="picture"))
-
-
-def _rgb(color: str) -> Colors:
-    return np.array(_bytes(color)) / 255
-
-
-def _bytes(color: str) -> tuple[int, int, int]:
-    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
 
 
 def _font(size: int) -> Any:

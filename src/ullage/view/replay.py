@@ -111,7 +111,9 @@ def replay(parts: Parts) -> dict[str, Any]:
     start_ns = min(int(part.t_ns[0]) for part in placed.values())
     first = next(iter(placed.values()))
     body = body_of(first) or first.believed
-    height = float(np.median(body.position[:, 2]))
+    height, unmapped = float(np.median(body.position[:, 2])), parts.unmapped
+    if unmapped is not None:
+        unmapped = unmapped[:: max(1, -(-len(unmapped) // MOST_POINTS))]  # evenly
     return {
         "title": parts.title,
         "bounds": _bounds(parts, body).tolist(),
@@ -120,14 +122,9 @@ def replay(parts: Parts) -> dict[str, Any]:
         "radars": [_radar(k, part, start_ns) for k, part in enumerate(placed.values())],
         "map": map_tree(parts.maps, start_ns, height) if parts.maps else None,
         "image": None if parts.image is None else _image(parts.image, height),
-        "unmapped": None if parts.unmapped is None else packed(_thinned(parts.unmapped), "f4"),
+        "unmapped": None if unmapped is None else packed(unmapped, "f4"),
         "explained": [_explained(one, list(placed), start_ns) for one in parts.explained if one.sensor in placed],
     }
-
-
-def _thinned(points: Floats) -> Floats:
-    """Return at most `MOST_POINTS` of the points, evenly."""
-    return points[:: max(1, -(-len(points) // MOST_POINTS))]
 
 
 def _bounds(parts: Parts, body: Trajectory) -> Floats:

@@ -185,9 +185,6 @@ class ViewerSink(Sink):
             values = np.maximum(level[row] - self._floor_db(), 0).astype(np.float16)
             bars = self._rr.BarChart(values, abscissa=part.range_m.astype(np.float32), color=rgba(shown.color))
             self._rec.log(f"profiles/{name}/now", bars)
-        self._picture_when_due(shown)
-
-    def _picture_when_due(self, shown: _Shown) -> None:
         if self._now_ns - shown.pictured_ns >= 1e9 / PICTURE_HZ:
             self._picture(shown)
 

@@ -111,9 +111,10 @@ def layout(
         profile_floor: level at the bottom of the profile bars.
     """
     rrb = need("rerun.blueprint", extra="view")
+    bounds_2d = rrb.VisualBounds2D(x_range=[-34, COLUMNS + 20], y_range=[-8, ROWS + 24])
     waterfalls = [
         rrb.Spatial2DView(
-            origin=f"profiles/{name}/range_time", name=f"{name}: range over time", visual_bounds=_bounds_2d(rrb)
+            origin=f"profiles/{name}/range_time", name=f"{name}: range over time", visual_bounds=bounds_2d
         )
         for name in sensors
     ]
@@ -142,10 +143,6 @@ def layout(
         overrides=_trails(rrb, trails),
     )
     return rrb.Blueprint(rrb.Horizontal(world, side, column_shares=[3, 2]), *panels, time)
-
-
-def _bounds_2d(rrb: Any) -> Any:
-    return rrb.VisualBounds2D(x_range=[-34, COLUMNS + 20], y_range=[-8, ROWS + 24])
 
 
 def _eye(rrb: Any, bounds: Floats | None) -> Any:

@@ -11,6 +11,7 @@ from ullage.arrays import Bools, Floats, Longs
 from ullage.data import Frames, Trajectory
 from ullage.errors import need
 from ullage.fan import drawn_rays
+from ullage.geometry import invert
 from ullage.specs import RadarSpec
 from ullage.view.world_picture import CLEAR, COLORS
 from ullage.world.scene import Scene
@@ -176,8 +177,6 @@ def beam_deg(spec: RadarSpec) -> tuple[float, float]:
 
 def body_of(frames: Frames) -> Trajectory | None:
     """Return the path of the body that carries the radar, if it is known."""
-    from ullage.geometry import invert
-
     return None if frames.poses is None else frames.poses.mounted(invert(frames.spec.mount.body_from_sensor()))
 
 

@@ -58,7 +58,7 @@ class WindowSink(Sink):
         if part.unit == "path_gain":
             amplitude = 20 * np.log10(np.maximum(amplitude, FLOOR))
         if part.sensor not in self._lines:
-            axes = self._axes()
+            axes = self.figure.axes[0] if self.figure.axes else self.figure.subplots()
             axes.set(xlabel="range [m]", ylabel="path gain [dB]" if part.unit == "path_gain" else part.unit)
             (self._lines[part.sensor],) = axes.plot([], [], label=part.sensor, linewidth=1)
             axes.legend(loc="upper right")
@@ -66,9 +66,6 @@ class WindowSink(Sink):
         line.set_data(part.range_m, amplitude)
         line.axes.relim()
         line.axes.autoscale_view()
-
-    def _axes(self) -> Any:
-        return self.figure.axes[0] if self.figure.axes else self.figure.subplots()
 
     def close(self) -> None:
         """Close the window."""

@@ -125,7 +125,7 @@ class _Eye:
 
     def __init__(self, toward: Floats, right: Floats, up: Floats, box: Floats, width_px: int) -> None:
         self.toward, self.right, self.up = toward, right, up
-        corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
+        corners = corners_of(box)
         seen = self.project(corners)
         least, size = seen.min(0), np.ptp(seen, axis=0)
         margin = (
@@ -159,6 +159,11 @@ class _Eye:
         v = self.extent[3] - (np.arange(rows) + 0.5) * self.pixel
         flat = u[None, :, None] * self.right + v[:, None, None] * self.up
         return np.asarray((flat + self.back * self.toward).reshape(-1, 3))
+
+
+def corners_of(box: Floats) -> Floats:
+    """Return the corners (8, 3) of a box (2, 3)."""
+    return np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
 
 
 def _inside(box: Floats, toward: Floats, side_m: float | tuple[float, float]) -> list[tuple[Floats, float]]:

@@ -10,8 +10,8 @@ import pytest
 
 import ullage as ul
 from ullage.errors import InputError, UllageError
-from ullage.ports.instruments.clock import InstrumentClock
 from ullage.ports.instruments.simulated import SimulatedMrm, SimulatedX4, faults_of
+from ullage.ports.instruments.source import InstrumentClock
 
 pytest.importorskip("serial")
 pytestmark = pytest.mark.filterwarnings("ignore::ullage.UllageWarning")

@@ -19,8 +19,13 @@ from ullage.ports.gazebo.transport import TransportPeer
 from ullage.world.scene import Scene
 
 WORLD = re.compile(r"/world/([^/]+)/")
-BOX, CYLINDER, SPHERE, PLANE, MESH, CONE, CAPSULE, ELLIPSOID = 0, 1, 2, 3, 6, 10, 14, 15
-"""Types of geometry."""
+SHAPES = {
+    0: ("box", ("size",)), 1: ("cylinder", ("radius", "length")), 2: ("sphere", ("radius",)),
+    3: ("plane", ("normal", "size")), 10: ("cone", ("radius", "length")), 14: ("capsule", ("radius", "length")),
+    15: ("ellipsoid", ("radii",)),
+}  # fmt: skip
+"""Types of geometry by their numbers: name and sizes, which SDF calls as the message does."""
+MESH = 6
 
 
 def ask_scene(peer: TransportPeer, world: str, *, where: str, patience_s: float = 10.0) -> Scene:
@@ -95,34 +100,27 @@ def _visual(visual: Any) -> str:
 
 def _geometry(shape: Any) -> str:
     """Return the shape as SDF; empty for shapes without a surface (axes, arrows, lines)."""
-    rounds = {CYLINDER: "cylinder", CONE: "cone", CAPSULE: "capsule"}
-    inside = ""
-    if shape.type == BOX:
-        inside = f"<box><size>{_three(shape.box.size)}</size></box>"
-    elif shape.type == SPHERE:
-        inside = f"<sphere><radius>{shape.sphere.radius!r}</radius></sphere>"
-    elif shape.type in rounds:
-        name = rounds[shape.type]
-        one = getattr(shape, name)
-        inside = f"<{name}><radius>{one.radius!r}</radius><length>{one.length!r}</length></{name}>"
-    elif shape.type == ELLIPSOID:
-        inside = f"<ellipsoid><radii>{_three(shape.ellipsoid.radii)}</radii></ellipsoid>"
-    elif shape.type == PLANE:
-        size = f"{shape.plane.size.x!r} {shape.plane.size.y!r}"
-        inside = f"<plane><normal>{_three(shape.plane.normal)}</normal><size>{size}</size></plane>"
-    elif shape.type == MESH:
-        scale = f"<scale>{_three(shape.mesh.scale)}</scale>" if shape.mesh.HasField("scale") else ""
+    if shape.type == MESH:
+        scale = f"<scale>{_numbers(shape.mesh.scale)}</scale>" if shape.mesh.HasField("scale") else ""
         part = f"<submesh><name>{shape.mesh.submesh}</name></submesh>" if shape.mesh.submesh else ""
-        inside = f"<mesh><uri>{shape.mesh.filename}</uri>{part}{scale}</mesh>"
-    return inside and f"<geometry>{inside}</geometry>"
+        name, inside = "mesh", f"<uri>{shape.mesh.filename}</uri>{part}{scale}"
+    elif shape.type in SHAPES:
+        name, sizes = SHAPES[shape.type]
+        one = getattr(shape, name)
+        inside = "".join(f"<{size}>{_numbers(getattr(one, size))}</{size}>" for size in sizes)
+    else:
+        return ""
+    return f"<geometry><{name}>{inside}</{name}></geometry>"
 
 
-def _three(vector: Any) -> str:
-    return f"{vector.x!r} {vector.y!r} {vector.z!r}"
+def _numbers(value: Any) -> str:
+    """Return a length, or the parts of a vector of two or three."""
+    parts = [value] if isinstance(value, float) else [getattr(value, axis) for axis in "xyz" if hasattr(value, axis)]
+    return " ".join(repr(part) for part in parts)
 
 
 def _pose(pose: Any) -> str:
     turn = pose.orientation
     quat = (turn.x, turn.y, turn.z, turn.w)
     words = " ".join(repr(value) for value in (quat if any(quat) else (0.0, 0.0, 0.0, 1.0)))
-    return f'<pose rotation_format="quat_xyzw">{_three(pose.position)} {words}</pose>'
+    return f'<pose rotation_format="quat_xyzw">{_numbers(pose.position)} {words}</pose>'

@@ -214,12 +214,9 @@ class FrameAssembler:
                 self._counters.drop("radars", "bad", f"more than {MOST_PARTS} of them")
                 return None
             clock = self._clocks.setdefault(part[0], Clock(self._counters))
-            topic = self._topic(part)
+            topic = f"{self.label(part)} of {part[0]:#06x}"
             self._sensors[part] = _Sensor(clock.stream(topic), PoseQueue(self._counters, topic, most=MOST_WAITING))
         return self._sensors[part]
-
-    def _topic(self, part: Part) -> str:
-        return f"{self.label(part)} of {part[0]:#06x}"
 
     def _name(self, part: Part, label: str) -> None:
         if part in self._labels or len(self._labels) < MOST_PARTS:

@@ -8,7 +8,6 @@ the same in ROS' own words is in interpreter.py. `python -m ullage.ports.imc.bro
 
 from __future__ import annotations
 
-import math
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,6 +19,7 @@ from ullage.errors import InputError, UllageError
 from ullage.ports import ament
 from ullage.ports import schema as ros
 from ullage.ports.imc.codec import Message, Packet, body, decode, encode
+from ullage.ports.imc.interpreter import stamp_of
 from ullage.ports.imc.table import Field, Kind, own
 
 TYPES = {
@@ -143,9 +143,7 @@ def of_raw(message: Mapping[str, Any]) -> Packet:
 
 def to_ros(packet: Packet) -> dict[str, Any]:
     """The broker's message of a packet."""
-    seconds = math.floor(packet.t_s)
-    stamp = {"sec": seconds, "nanosec": min(round((packet.t_s - seconds) * 1e9), 999_999_999)}
-    head = {"header": {"stamp": stamp, "frame_id": ""}}
+    head = {"header": {"stamp": stamp_of(packet.t_s), "frame_id": ""}}
     where = {"src": packet.src, "src_ent": packet.src_ent, "dst": packet.dst, "dst_ent": packet.dst_ent}
     return head | where | _fields_out(own().named(packet.name), packet.message.values)
 

@@ -27,6 +27,7 @@ from ullage.ports.intake import Once
 from ullage.ports.ned import FLIP, SWAP
 from ullage.ports.pose_events import BodyState
 from ullage.ports.protocol import Item
+from ullage.processing.detect import detect
 from ullage.specs import MountSpec, RadarSpec
 
 ECHO_SOUNDER = 1
@@ -64,8 +65,6 @@ def beam_config(spec: RadarSpec) -> Message:
 
 def distances(frames: Frames) -> list[Message]:
     """Distance of the nearest echo of each frame; invalid where there is none."""
-    from ullage.processing.detect import detect
-
     hits = detect(frames)
     near = dict(zip(hits.frame[::-1].tolist(), hits.range_m[::-1].tolist(), strict=True))
     where, beam = (device_state(frames.spec.mount),), (beam_config(frames.spec),)

@@ -12,10 +12,10 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
-from ullage.arrays import Floats
 from ullage.flight.live import Steered, Wish
+from ullage.ports.drone import Guided
 from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import NOBODY, Message, Packet, make
 from ullage.ports.imc.frames import state_of
@@ -46,27 +46,6 @@ PLACES = ("Goto", "Loiter", "StationKeeping", "StationKeepingExtended", "Takeoff
 HOVERS = ("IdleManeuver", "StopManeuver", "Teleoperation")
 """Maneuvers that hover: an operator's commands come as set-points of their own."""
 MANEUVERS = (*PLACES, *HOVERS, "FollowReference")
-
-
-class Vehicle(Protocol):
-    """A multirotor that can be flown."""
-
-    @property
-    def wish(self) -> Wish:
-        """The last request."""
-
-    @property
-    def position(self) -> Floats | None:
-        """Its position (3) [m]; None: not known yet."""
-
-    def ask(self, wish: Wish) -> None:
-        """Change the request."""
-
-    def fly(self) -> list[BodyState]:
-        """Fly until now, and return the poses since the last call."""
-
-    def close(self) -> None:
-        """Hover, and release it."""
 
 
 class Commands:
@@ -250,6 +229,10 @@ class Simulated(Steered):
 
     def close(self) -> None:
         """Do nothing."""
+
+
+Vehicle = Simulated | Guided
+"""A multirotor that can be flown: ours, or one of others."""
 
 
 class Helm:

@@ -95,7 +95,8 @@ def _polar_back(value: Any, args: tuple[str, ...]) -> dict[str, Any]:
     return {args[0]: math.hypot(value["x"], value["y"]), args[1]: course}
 
 
-def _parts_of(seconds: float) -> dict[str, int]:
+def stamp_of(seconds: float) -> dict[str, int]:
+    """Return a time [s] as ROS divides it."""
     whole = math.floor(seconds)
     nanosec = min(round((seconds - whole) * 1e9), 999_999_999)
     return {"sec": whole, "nanosec": nanosec}
@@ -148,7 +149,7 @@ CONVERSIONS: dict[str, Conversion] = {
     "mount": _attitude(FLIP),
     "polar": Conversion(_polar_out, _polar_back),
     "stamp": Conversion(lambda m, a: None, lambda value, a: {a[0]: _seconds(value["stamp"])}),
-    "time": Conversion(lambda m, a: _parts_of(m[a[0]]), lambda value, a: {a[0]: _seconds(value)}),
+    "time": Conversion(lambda m, a: stamp_of(m[a[0]]), lambda value, a: {a[0]: _seconds(value)}),
     "variances": Conversion(
         lambda m, a: np.diag([float(m[name]) ** 2 for name in a]).ravel().tolist(),
         lambda value, a: {name: math.sqrt(max(float(value[4 * k]), 0.0)) for k, name in enumerate(a)},
@@ -292,14 +293,12 @@ def _fields_in(entries: tuple[Entry, ...], given: Mapping[str, Any]) -> dict[str
         if value is None:
             continue
         if entry.how == "each":
-            out[entry.args[0]] = tuple(_inner(entry.args[1], one) for one in value)
+            field_name, kind = entry.args
+            parts = PAIRS[kind].rows[0].parts[0].entries
+            out[field_name] = tuple(make(kind, **_fields_in(parts, one)) for one in value)
         elif (back := CONVERSIONS[entry.how].back) is not None:
             out |= back(value, entry.args)
     return out
-
-
-def _inner(kind: str, given: Mapping[str, Any]) -> Message:
-    return make(kind, **_fields_in(PAIRS[kind].rows[0].parts[0].entries, given))
 
 
 def _entry(text: str, name: str) -> Entry:

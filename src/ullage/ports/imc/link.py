@@ -11,7 +11,7 @@ from ullage.flow import Closing
 from ullage.ports.imc.codec import NOBODY, Message, Packet, compile_kernels, encode, make, readable
 from ullage.ports.imc.options import LinkOptions, endpoint
 from ullage.ports.imc.table import Table
-from ullage.ports.imc.wires import OUTBOX_BYTES, Entity, Identity, TcpWire, UdpWire, Wire
+from ullage.ports.imc.wires import OUTBOX_BYTES, Entity, Identity, TcpWire, UdpWire
 from ullage.ports.intake import Counters, Inbox, Log, Once
 from ullage.ports.network import SharedLinks
 
@@ -36,7 +36,7 @@ class Link(Closing):
     """
 
     def __init__(
-        self, wire: Wire, me: Identity, table: Table, log: Log, counters: Counters, *, listens: bool = True
+        self, wire: TcpWire | UdpWire, me: Identity, table: Table, log: Log, counters: Counters, *, listens: bool = True
     ) -> None:
         self.wire, self.me, self.table, self.listens = wire, me, table, listens
         self._log, self.counters = log, counters
@@ -150,7 +150,7 @@ class Link(Closing):
                 self._introduce()
             if there and now >= next_beat:
                 next_beat = now + 1.0
-                self._beat()
+                self._queue(self._pack(make("Heartbeat", table=self.table)), *map(self._state, self.me.entities))
             self._take(self.wire.exchange(self.out, TICK_S))
 
     def _take(self, packets: list[Packet]) -> None:
@@ -181,9 +181,6 @@ class Link(Closing):
 
     def _state(self, e: Entity) -> bytes:
         return self._pack(make("EntityState", table=self.table, state=NORMAL, description="active"), e.id)
-
-    def _beat(self) -> None:
-        self._queue(self._pack(make("Heartbeat", table=self.table)), *map(self._state, self.me.entities))
 
     def _answer(self, packet: Packet) -> None:
         """Answer the requests that every system must answer."""

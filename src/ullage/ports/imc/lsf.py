@@ -11,7 +11,7 @@ from typing import Any
 
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
-from ullage.files import write_whole
+from ullage.files import write_whole, writing
 from ullage.flow import Sink
 from ullage.ports.geodetic import datum_of
 from ullage.ports.imc.assemble import FrameAssembler, Track
@@ -156,11 +156,9 @@ class LsfSink(Sink):
         self.path, self._options = Path(path), options_of(LogOptions, options, "imc")
         if self.path.exists() and not self._options.overwrite:
             raise InputError("exists already", where=self.path, allowed="a new name, or overwrite=True")
-        try:
+        with writing(self.path):
             zipped = self.path.suffix == ".gz"
             self._file: Any = gzip.open(self.path, "wb") if zipped else open(self.path, "wb")  # noqa: SIM115
-        except OSError as error:
-            raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
         beside = self.path.parent / "IMC.xml.gz"
         if not beside.exists():
             write_whole(beside, lambda out: out.write(gzip.compress(to_xml(own()))))
@@ -192,21 +190,16 @@ class LsfSink(Sink):
             self._last_ns = message.t_ns
             self._put(message.message, message.entity)
         if time.monotonic() - self._flushed_s > FLUSH_EVERY_S:
-            self._flush()
+            self._flushed_s = time.monotonic()
+            self._file.flush()
 
     def _enter(self, entity: Entity) -> None:
         self._new.append(entity)
 
     def _put(self, message: Any, entity: int) -> None:
         t_s = (self._last_ns + (self._shift_ns or 0)) * 1e-9
-        try:
+        with writing(self.path):
             self._file.write(encode(Packet(message, t_s, self._options.system_id, entity)))
-        except OSError as error:
-            raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
-
-    def _flush(self) -> None:
-        self._flushed_s = time.monotonic()
-        self._file.flush()
 
     def close(self) -> None:
         """Finish the log."""

@@ -12,6 +12,7 @@ import numpy as np
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.ports.cosimulation import rig_of, world_of
+from ullage.ports.drone import Drone, Guided, Limits
 from ullage.ports.geodetic import TRONDHEIM
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet
@@ -94,7 +95,6 @@ class ImcSource(LiveSource):
 
     def _vehicle(self, start: tuple[float, ...]) -> Vehicle:
         """Open our own multirotor or an external drone."""
-        from ullage.ports.drone import Drone, Guided, Limits
         from ullage.ports.imc.helm import Simulated
 
         o = self._options

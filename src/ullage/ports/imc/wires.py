@@ -11,7 +11,6 @@ import select
 import socket
 import time
 import uuid
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -71,8 +70,8 @@ class Identity:
         return make("EntityList", table=table, op=REPORT, list=text)
 
 
-class Wire(ABC):
-    """Carry bytes to one or more peers; every call returns at once or within its timeout.
+class Wire:
+    """What both kinds of connection share: limits, counts, and a way to end a running `exchange` early.
 
     Args:
         options: when a silent peer is dropped, and whether it is waited for.
@@ -93,24 +92,6 @@ class Wire(ABC):
     def services(self) -> Sequence[str]:
         """Our services, as URIs."""
         return ()
-
-    @property
-    @abstractmethod
-    def connected(self) -> bool:
-        """Whether a peer is connected."""
-
-    @property
-    @abstractmethod
-    def finished(self) -> bool:
-        """Whether the peer has gone for good."""
-
-    @abstractmethod
-    def exchange(self, out: Inbox[bytes], timeout_s: float) -> list[Packet]:
-        """Send and receive what is possible; wait until the timeout if nothing is."""
-
-    @abstractmethod
-    def greet(self, announce: bytes) -> None:
-        """Announce us to all listeners."""
 
     def wake(self) -> None:
         """End a running `exchange` early."""

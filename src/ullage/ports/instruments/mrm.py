@@ -118,14 +118,11 @@ class MrmRadar:
         self._ask(SET_CONFIG, config[4:], f"ranges from {spec.range_start_m:g} m and {2**self._integration} pulses")
         told = CONFIG.unpack_from(self._ask(GET_CONFIG, b"", "its settings", status=False))
         self.spec = spec.but(range_start_m=C0 / 2 * (told[3] * 1e-12 - LEAD_S), bins=bins)
-        self._health()
+        status = self._ask(STATUS, b"", "its status", status=False)
+        if len(status) >= TEMPERATURE_AT + 4:
+            self._temperature_c = 0.25 * struct.unpack_from(">i", status, TEMPERATURE_AT)[0]
         interval_us = round(1e6 / spec.fps)
         self._ask(CONTROL, struct.pack(">HHI", ENDLESS, 0, interval_us), f"fps {spec.fps:g}")
-
-    def _health(self) -> None:
-        answer = self._ask(STATUS, b"", "its status", status=False)
-        if len(answer) >= TEMPERATURE_AT + 4:
-            self._temperature_c = 0.25 * struct.unpack_from(">i", answer, TEMPERATURE_AT)[0]
 
     def _ask(self, kind: int, body: bytes, what: str, *, status: bool = True) -> bytes:
         """Send a request, again where it is lost, and return its confirmation.

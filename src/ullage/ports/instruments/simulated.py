@@ -100,11 +100,7 @@ class Simulated(ABC):
             return packets + packets
         if fault == "garbage":
             return [self._random.bytes(200), *packets]
-        return packets if fault == "late" else self._cut(packets)
-
-    def _cut(self, packets: list[bytes]) -> list[bytes]:
-        """Return packets of which a part is lost."""
-        return packets[:-1]
+        return packets if fault == "late" else packets[:-1]
 
     @abstractmethod
     def _answer(self, wait_s: float) -> None:

@@ -115,11 +115,12 @@ class PoseBuilder:
 
     def _matched(self) -> list[ModelPose]:
         """Positions whose time lies between two attitudes."""
-        ready = self._positions.ready(self._attitude_at, time.monotonic())
-        return [self._sighting(t_ns, ned, pose[1]) for (t_ns, ned), pose in ready]
 
-    def _attitude_at(self, position: tuple[int, Floats]) -> Place[tuple[Floats, Floats]]:
-        return self._attitudes.at(position[0])._replace(missing="no attitude near its time")
+        def attitude_at(position: tuple[int, Floats]) -> Place[tuple[Floats, Floats]]:
+            return self._attitudes.at(position[0])._replace(missing="no attitude near its time")
+
+        ready = self._positions.ready(attitude_at, time.monotonic())
+        return [self._sighting(t_ns, ned, pose[1]) for (t_ns, ned), pose in ready]
 
     def _sighting(self, t_ns: int, ned: Floats, ned_from_frd: Floats) -> ModelPose:
         at = apply(self._origin, enu_position(ned)[None])[0]

@@ -12,6 +12,8 @@ from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
+from pydantic import Field
+
 from ullage.data import Frames, Trajectory
 from ullage.errors import DamageWarning, InputError, UllageWarning
 from ullage.geometry import matrix_quat
@@ -19,11 +21,13 @@ from ullage.grids import OccupancyMap
 from ullage.ports import conversions
 from ullage.ports import schema as ros
 from ullage.ports.conversions import Placement, stamp_ns
+from ullage.ports.live import options_of
 from ullage.ports.protocol import Recording
 from ullage.ports.replay import McapSource
 from ullage.ports.ros2.incoming import Incoming
 from ullage.ports.ros2.options import SourceOptions
 from ullage.ports.vehicle_logs import Pose, track_of_fixes, track_of_poses
+from ullage.specs import Spec
 
 BATCH = 256
 """Messages between two looks at which frames have their poses."""
@@ -95,36 +99,44 @@ class McapBag(Bag):
         return ((topic, data) for topic, _, data in McapSource(self.path).messages() if topic in chosen)
 
 
+class BagOptions(Spec):
+    """Options of a bag of other programs."""
+
+    topics: str = Field("", description="frames, profiles or ranges, with commas; none: found by type")
+    odom: str = Field("", description="Odometry to take the body's pose from; none: the first, where there is no /tf")
+    radar: str = Field("x4m05", description="preset of radars whose topics do not say what they are")
+    world: str = Field("map", description="frame of reference that the map stands in")
+    body: str = Field("base_link", description="frame of reference of the vehicle")
+
+
 class RosbagSource(Recording):
     """Source of frames, profiles or ranges in a bag, with poses from its transforms or odometry.
 
+    Without `topics` it takes RadarFrame, else */profile, else Range.
+
     Args:
         path: `.bag`, `.db3`, or rosbag2's folder.
-        topics: of frames, profiles or ranges, with commas; none: RadarFrame, else */profile, else Range.
-        odom: topic of Odometry to take the body's pose from; none: the first, where there is no /tf.
-        radar: preset of radars whose topics do not say what they are.
-        world: frame of reference that the map stands in.
-        body: frame of reference of the vehicle.
+        **options: as `BagOptions` lists them.
 
     Raises:
-        InputError: the file is not a bag or is damaged, or there is no such preset.
+        InputError: the file is not a bag or is damaged, or there is no such option or preset.
     """
 
-    def __init__(
-        self, path: Path, *, topics: str = "", odom: str = "", radar: str = "x4m05", world: str = "map",
-        body: str = "base_link",
-    ) -> None:  # fmt: skip
+    def __init__(self, path: Path, **options: Any) -> None:
         super().__init__(path)
+        chosen = options_of(BagOptions, options, str(path))
         self._bag = Bag.of(path)
         self._kinds = self._bag.kinds
-        self._radars = self._wanted(topics)
+        self._radars = self._wanted(chosen.topics)
         odometry = [name for name, kind in self._kinds.items() if kind == ros.ODOMETRY]
-        placed = ros.TRANSFORMS in self._kinds.values()
+        placed, odom = ros.TRANSFORMS in self._kinds.values(), chosen.odom
         self._odom = odom or ("" if placed or not odometry else odometry[0])
         if odom and odom not in odometry:
             raise InputError(f"no Odometry on {odom}", where=path, allowed=", ".join(odometry) or "none is in the bag")
         poses: Any = "auto" if placed or self._odom else "message"
-        self._options = SourceOptions(radar=radar, map=world, body=body, poses=poses, patience_s=60)
+        self._options = SourceOptions(
+            radar=chosen.radar, map=chosen.world, body=chosen.body, poses=poses, patience_s=60
+        )
 
     def _wanted(self, topics: str) -> list[str]:
         """Return the topics of radars, by the option or by type."""
@@ -152,9 +164,7 @@ class RosbagSource(Recording):
         while found := into.ready(chunk):
             yield found
         into.finish()
-        damaged = into.counters.dropped("bad") > 0
-        for line in into.counters.lines():
-            warnings.warn(f"{self.path}: {line}", DamageWarning if damaged else UllageWarning, stacklevel=2)
+        self._warn_of_dropped(into.counters)
 
     def _takers(self, into: Incoming) -> dict[str, Callable[[bytes], None]]:
         """Return the handler of each topic's messages."""
@@ -178,26 +188,21 @@ class RosbagSource(Recording):
         return None if last is None else conversions.grid_of(last)
 
 
-def open_mcap(
-    path: Path, *, topics: str = "", odom: str = "", radar: str = "x4m05", world: str = "map", body: str = "base_link"
-) -> McapSource | RosbagSource:
+def open_mcap(path: Path, **options: Any) -> McapSource | RosbagSource:
     """Open a recording of ullage, or a bag of profiles or ranges with poses from its transforms or odometry.
 
     Args:
         path: of the MCAP file.
-        topics: of frames, profiles or ranges, with commas; none: RadarFrame, else */profile, else Range.
-        odom: topic of Odometry to take the body's pose from; none: the first, where there is no /tf.
-        radar: preset of radars whose topics do not say what they are.
-        world: frame of reference that the map stands in.
-        body: frame of reference of the vehicle.
+        **options: as `BagOptions` lists them.
 
     Raises:
-        InputError: the file is not a recording, or there is no such topic or preset.
+        InputError: the file is not a recording, or there is no such topic, option or preset.
     """
-    source = McapSource(path)
-    kinds = {} if topics or odom or source.has_frames() else source.topics()
-    if (topics or odom) or any(kind == ros.RANGE or name.endswith("/profile") for name, kind in kinds.items()):
-        return RosbagSource(path, topics=topics, odom=odom, radar=radar, world=world, body=body)
+    source, chosen = McapSource(path), options_of(BagOptions, options, str(path))
+    named = bool(chosen.topics or chosen.odom)
+    kinds = {} if named or source.has_frames() else source.topics()
+    if named or any(kind == ros.RANGE or name.endswith("/profile") for name, kind in kinds.items()):
+        return RosbagSource(path, **options)
     return source
 
 

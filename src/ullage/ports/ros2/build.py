@@ -16,6 +16,8 @@ import sysconfig
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 from ullage.errors import MissingExtra, UllageError
 from ullage.ports import ament
 from ullage.ports import schema as ros
@@ -45,18 +47,11 @@ def package_files(package: str) -> dict[str, str]:
     return ament.package_files(package, texts, about=ABOUT[package], built_on=built_on)
 
 
-def write_package(package: str, folder: Path) -> Path:
-    """Write an ament package to its own folder."""
-    return ament.write(package_files(package), folder / package)
-
-
 def mirror(prefix: Path, into: Path) -> Path:
     """Make a cmake prefix of the installed wheels, with the build machine's paths corrected.
 
     Everything except `share` is linked, so the environment itself stays as installed.
     """
-    import numpy as np
-
     right = {"include": sysconfig.get_paths()["include"], "lib": str(Path(np.__file__).parent.parent)}
     into.mkdir(parents=True)
     for part in prefix.iterdir():
@@ -106,7 +101,8 @@ def build(packages: list[str], *, prefix: Path | None = None) -> None:
         there = {"AMENT_PREFIX_PATH": str(wheels), "CMAKE_PREFIX_PATH": str(wheels), "LD_LIBRARY_PATH": libraries}
         there |= {"PATH": f"{prefix / 'bin'}{os.pathsep}{os.environ.get('PATH', '')}"}
         for package in packages:
-            source = Path(package).resolve() if foreign(package) else write_package(package, Path(work))
+            ours = None if foreign(package) else ament.write(package_files(package), Path(work, package))
+            source = ours or Path(package).resolve()
             options = [f"-DCMAKE_INSTALL_PREFIX={prefix}", f"-DPython3_EXECUTABLE={sys.executable}"]
             options += ["-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release", "-Wno-dev"]
             target = str(Path(work, f"build-{source.name}"))

@@ -16,9 +16,8 @@ from ullage.ports.intake import warn
 from ullage.ports.protocol import Item
 from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_present, on
 from ullage.ports.rate_limiter import LATE_S, STEP_BACK_S, RateLimiter
-from ullage.ports.ros2.middleware import Peer
+from ullage.ports.ros2.middleware import CLOCK, Peer
 from ullage.ports.ros2.options import SinkOptions
-from ullage.ports.ros2.sharing import CLOCK
 from ullage.processing.health import HealthMonitor
 
 AHEAD_S = 2.0
