@@ -250,14 +250,12 @@ def sheet_currents(half: float, phase: float) -> tuple[complex, complex]:
 def _strength(order: Order, wave: float, x: float) -> complex:
     """Strength of an order at a place of the second edge, so far behind the corner [m].
 
-    The wave counts in full where it meets that edge. Where it runs away from it, Fresnel's integral is left.
+    The first edge sends its wave there as far as it goes itself: Fresnel's integral from its end.
     """
     hard, soft = sheet_currents(order.half, order.bend * x)
-    current = order.hard * hard + order.soft * soft
-    if order.before < 0:
-        late = 0.5 * wave * order.before * order.before * order.sine2 / order.across * x
-        current *= phasor(late) * along_sheet(late)
-    return current
+    late = 0.5 * wave * order.before * order.before * order.sine2 / order.across * x
+    beyond = 0.5 * phasor(late) * along_sheet(late)
+    return (order.hard * hard + order.soft * soft) * (1 - beyond if order.before > 0 else beyond)
 
 
 @core(fastmath=True, error_model="numpy")

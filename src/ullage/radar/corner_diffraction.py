@@ -2,7 +2,7 @@
 
 Off the principal planes no edge faces the radar, and the edges' own echoes come from their ends. There the waves from
 edge to edge are as strong [Michaeli1986]. Those between parallel edges are in `double_diffraction`; this module adds
-those between two edges that meet at a corner.
+those between two edges that meet at a corner, of sheets and of solid bodies.
 """
 
 from __future__ import annotations
