@@ -82,7 +82,7 @@ def at_wavelength(corners: Corners, narrow_m: float) -> tuple[Corners, Bools]:
     Returns:
         The corners (c), and which of them are those of sheets, which have no thickness at all.
     """
-    held = corners.take((corners.widths[:, :, 0] >= narrow_m).all(1))
+    held = corners.take(np.asarray((corners.widths[:, :, 0] >= narrow_m).all(1)))
     sheet = held.angles > 2 - 1e-6
     thin = sheet | (held.widths[:, :, 1] < narrow_m)
     return replace(held, angles=np.where(thin, 2.0, held.angles)), np.asarray(sheet.all(1))
