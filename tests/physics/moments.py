@@ -31,9 +31,9 @@ def grid(edges_m, corner, along, up):
 
 
 def plate(size_m, edges_m):
-    """A square plate in the plane x = 0, about the origin."""
-    half = size_m / 2
-    return grid(edges_m, (0, -half, -half), (0, size_m, 0), (0, 0, size_m))
+    """A plate in the plane x = 0, about the origin: square, or of a width and a height."""
+    width, height = size_m * np.ones(2)
+    return grid(edges_m, (0, -width / 2, -height / 2), (0, width, 0), (0, 0, height))
 
 
 def box(size_m, edges_m):

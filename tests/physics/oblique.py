@@ -28,6 +28,7 @@ BANDS_DEG = ((0, 25), (30, 45), (50, 60), (65, 75))
 FIELDS = ("vertical", "horizontal")
 BOX_M = 1.055 * WAVE_M  # between two resonances of the hollow cube, where the integral equation is sure
 SHAPES = {"plate 2": (moments.plate, 2 * WAVE_M, 1), "plate 3": (moments.plate, 3 * WAVE_M, 1),
+          "rectangle": (moments.plate, WAVE_M * np.array([2.3, 1.4]), 1),
           "box": (moments.box, BOX_M, 1),
           "dihedral 2": (moments.dihedral, 2 * WAVE_M, 2), "dihedral": (moments.dihedral, 3 * WAVE_M, 2)}  # fmt: skip
 
@@ -66,7 +67,7 @@ def compare(shape, per_wave=8):
     build, size, bounces = SHAPES[shape]
     theta, azimuth, places, axes = views()
     reference = truth(build(size, WAVE_M / per_wave), places, axes)
-    return theta, azimuth, ours(build(size, 10 * size), places, axes, bounces), reference
+    return theta, azimuth, ours(build(size, 10 * np.max(size)), places, axes, bounces), reference
 
 
 def rows(shape, per_wave=8):

@@ -5,11 +5,12 @@ import tracemalloc
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 from scipy.special import fresnel
 
 import ullage as ul
 from ullage.geometry import C0
-from ullage.kernels import double_edge_diffraction, edge_diffraction
+from ullage.kernels import corner_diffraction, double_edge_diffraction, edge_diffraction
 from ullage.radar.double_diffraction import facing_pairs
 from ullage.radar.physical import path_gain_cw
 from ullage.radar.prepared import prepare
@@ -83,6 +84,51 @@ def test_edge_diffraction_currents_are_those_of_the_exact_half_plane(deg, mu):
     soft = np.sum((sommerfeld(x, phi, False) - 1j * np.sin(phi) * optical) * weight) / -2
     assert hard == pytest.approx(out[1], abs=0.03)
     assert soft == pytest.approx(out[0], abs=0.03)
+
+
+@pytest.mark.parametrize("deg", [20, 70, 130])
+def test_currents_that_meet_a_corner_are_those_of_the_exact_half_plane(deg):
+    """Both polarisations, at broadside: exact less optical current on the lit side."""
+    phi, x = np.radians(deg), np.array([0.05, 0.4, 3.0, 20.0])
+    optical = 2 * np.exp(1j * x * np.cos(phi))
+    ours = np.array([corner_diffraction.sheet_currents(np.cos(phi / 2), 2 * v) for v in x]) * np.exp(-1j * x)[:, None]
+    across = optical - sommerfeld(x, phi, True)
+    along = sommerfeld(x, phi, False) - 1j * np.sin(phi) * optical
+    assert ours[:, 0] == pytest.approx(across, rel=1e-2)
+    assert ours[:, 1] == pytest.approx(along / (2j * np.sin(phi / 2)), rel=1e-2)
+
+
+@pytest.mark.parametrize("back", [0.1, 0.9, 1.7])
+def test_a_current_along_a_sheet_ends_at_its_edge(back):
+    """Both faces of a sheet together, for a wave that grazes it: Michaeli's currents in closed form."""
+    out, cosine = np.empty(2), 0.3
+    sine2, total = 1 - cosine**2, np.zeros(2)
+    for side in range(2):
+        sign = 1.0 - 2 * side
+        edge_diffraction.face_currents(2.0, side * 2 * np.pi, 0.0, sign * np.sqrt(sine2), sign * cosine, back, out)
+        total += np.array([sign, 1.0]) * out
+    half = np.sqrt(0.5 * back / sine2)
+    fringe = 1 / (2 * half * (1 + half))
+    along = cosine / np.sqrt(sine2) * (1 + (1 - back / sine2) * fringe)
+    assert total == pytest.approx([along, fringe], rel=2e-3)
+
+
+def test_a_box_and_its_radar_may_turn_together():
+    """Oblique, where waves from edge to edge carry the echo; the world's axes mean nothing."""
+    turn = Rotation.random(random_state=2).as_matrix()
+    place, body = np.array([0.6, 0.5, 0.4]), trimesh.creation.box((0.06, 0.05, 0.07))
+    for pol in ("vertical", "horizontal"):
+        echo = []
+        for frame in (np.eye(3), turn):
+            scene = Scene.of_mesh(body.vertices @ frame.T, body.faces, name="box", made_of="pec")
+            away = -place / np.linalg.norm(place)
+            left = np.cross([0, 0, 1.0], away)
+            left /= np.linalg.norm(left)
+            axes = frame @ np.stack([away, left, np.cross(away, left)], 1)
+            none, quat = np.zeros((1, 3)), Rotation.from_matrix(axes[None]).as_quat()
+            there = ul.Trajectory(np.zeros(1, np.int64), (frame @ place)[None], quat, none, none)
+            echo.append(path_gain_cw(scene, there, radar(pol))[0])
+        assert abs(echo[1] / echo[0] - 1) < 1e-6
 
 
 def test_transition_function():

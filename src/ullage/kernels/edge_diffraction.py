@@ -88,6 +88,28 @@ def edge_diffraction(open_angle: float, phi: float, mu: float, out: Floats) -> N
 
 
 @lean(fastmath=True, error_model="numpy")
+def face_currents(
+    open_angle: float, phi: float, along: float, across: float, cosine: float, back: float, out: Floats
+) -> None:
+    """Fringe currents of one face for a wave from any direction, towards any receiver, times the wave number.
+
+    Args:
+        open_angle: of the free space, over pi.
+        phi: angle from the face to where the wave comes from [rad].
+        along: electric field of the wave along the edge; across: its magnetic field along the edge.
+        cosine: of the angle between the direction of travel and the edge.
+        back: 1 plus the cosine between the strip of current along the face and the way from the receiver.
+        out: (2) gets the currents along the edge and across it [Michaeli1986].
+    """
+    sine2 = max(1 - cosine * cosine, 1e-6)
+    mu = min(1 - back / sine2, 1 - 2e-6)
+    edge_diffraction(open_angle, phi, mu, out)
+    lit = 1.0 if phi < math.pi else 0.0
+    out[0] = (along * out[0] + cosine * across * (lit - 1 / open_angle + mu * out[1])) / sine2
+    out[1] = across * out[1] / math.sqrt(sine2)
+
+
+@lean(fastmath=True, error_model="numpy")
 def face(
     open_angle: float, inward: Floats, normals: Floats, w: int, i: int, sign: float, rows: Floats, out: Floats
 ) -> float:
@@ -116,16 +138,12 @@ def face(
         phi += 2 * math.pi
     if phi >= open_angle * math.pi:
         return 0.0
-    sine = math.sqrt(sine2)
-    mu = math.cos(phi) - 2 * cosine * cosine / sine2
-    edge_diffraction(open_angle, phi, mu, out)
-    lit = 1.0 if phi < math.pi else 0.0
     hz = (uy * ez - uz * ey) * tx + (uz * ex - ux * ez) * ty + (ux * ey - uy * ex) * tz
-    along = ((ex * tx + ey * ty + ez * tz) * out[0] + cosine * hz * (lit - 1 / open_angle + mu * out[1])) / sine2
-    across = hz * out[1] / sine
+    back = 1 + cosine * cosine - math.sqrt(sine2) * sx
+    face_currents(open_angle, phi, ex * tx + ey * ty + ez * tz, hz, cosine, back, out)
     seen_along = rows[2, 0] * tx + rows[2, 1] * ty + rows[2, 2] * tz
     seen_across = rows[2, 0] * ix + rows[2, 1] * iy + rows[2, 2] * iz
-    return seen_along * along + seen_across * across
+    return seen_along * out[0] + seen_across * out[1]
 
 
 @core(fastmath=True, error_model="numpy")

@@ -2,7 +2,7 @@
 
 Off the principal planes no edge faces the radar, and the edges' own echoes come from their ends. There the waves from
 edge to edge are as strong [Michaeli1986]. Those between parallel edges are in `double_diffraction`; this module adds
-those between two edges that meet at a corner.
+those between two edges that meet at a corner, of sheets and of solid bodies.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ class Corners:
     angles: Floats  # (c, 2) of the free space about both, over pi
     normals: Floats  # (c, 3) unit normals of the face
     widths: Floats  # (c, 2, 2) of both faces of both edges, this face first [m]
-    next: Longs  # (c, 2) corners of this face at the other ends of both edges, -1 for none
     object_ids: Ints  # (c) object
 
     def __len__(self) -> int:
@@ -67,32 +66,26 @@ def face_corners(
     turn = np.einsum("cei,cei->ce", along, into[:, ::-1])  # sines of the angle between both edges
     held = (turn > _LEAST_SINE).all(1) & (lengths > 1e-3).all(1)
     both, along, lengths = both[held], along[held], lengths[held]
-    row = np.full(len(edge), -1)
-    row[both] = np.arange(len(both))[:, None]
     e, s = edge[both], side[both]
     return Corners(places[both[:, 0]], along, lengths, angles[e], normals[e[:, 0], s[:, 0]],
-                   np.stack([widths[e, s], widths[e, 1 - s]], 2), row[(both + len(edge) // 2) % max(len(edge), 1)],
-                   object_ids[e[:, 0]])  # fmt: skip
+                   np.stack([widths[e, s], widths[e, 1 - s]], 2), object_ids[e[:, 0]])  # fmt: skip
 
 
 def joined(parts: list[Corners]) -> Corners:
     """Join the corners of several bodies."""
-    before = np.cumsum([0, *(len(p) for p in parts)])
-    parts = [replace(p, next=np.where(p.next < 0, -1, p.next + n)) for p, n in zip(parts, before[:-1], strict=True)]
     return Corners(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Corners)))
 
 
 def at_wavelength(corners: Corners, narrow_m: float) -> tuple[Corners, Bools]:
-    """Select the corners of thin bodies that are wide enough [m] and have such corners at both ends of both edges.
+    """Select the corners of faces that are wide enough [m]; edges of thin bodies become edges of sheets.
 
     Returns:
         The corners (c), and which of them are those of sheets, which have no thickness at all.
     """
-    sheet = corners.angles > 2 - 1e-6
-    wide, thin = corners.widths[:, :, 0] >= narrow_m, sheet | (corners.widths[:, :, 1] < narrow_m)
-    free = np.asarray((wide & thin).all(1))
-    held = free & (corners.next >= 0).all(1) & free[corners.next].all(1)
-    return corners.take(held), np.asarray(sheet[held].all(1))
+    held = corners.take(np.asarray((corners.widths[:, :, 0] >= narrow_m).all(1)))
+    sheet = held.angles > 2 - 1e-6
+    thin = sheet | (held.widths[:, :, 1] < narrow_m)
+    return replace(held, angles=np.where(thin, 2.0, held.angles)), np.asarray(sheet.all(1))
 
 
 def placed(corners: Corners, poses: Floats | None) -> Corners:

@@ -95,7 +95,7 @@ def _over(context: RadarContext, antennas: AntennaPair, pairs: double.Pairs, pla
 def _corners(context: RadarContext, poses: Floats | None) -> corner_kernel.Corners:
     """Give the corners of faces as kernels take them, placed in the world."""
     at, outlines = corner.placed(context.outlines.corners, poses), context.outlines
-    return corner_kernel.Corners(at.places, at.along, at.lengths, at.normals, outlines.corners_bare)
+    return corner_kernel.Corners(at.places, at.along, at.lengths, at.angles, at.normals, outlines.corners_bare)
 
 
 def _receivable_corners(context: RadarContext, antennas: AntennaPair, corners: corner_kernel.Corners) -> Longs:
@@ -115,7 +115,7 @@ def _accumulate_corners(
     radar = context.antennas(antennas)
 
     def put(between: Transmission, sums: EchoSums) -> None:
-        corner_kernel.accumulate_corners(met, corners, between, radar, context.pulse_grid, sums, np.empty((8, 3)))
+        corner_kernel.accumulate_corners(met, corners, between, radar, context.pulse_grid, sums, np.empty((9, 3)))
 
     return echo_set(put, between, grids, context.outlines.corners.object_ids[met], corners.places[met])
 
