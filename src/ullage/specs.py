@@ -129,7 +129,7 @@ def _mounted(position_m: Vector, rpy_deg: Vector) -> NDArray[np.float64]:
 
 
 class AntennaSpec(Spec):
-    """One-way antenna pattern, the same for transmit and receive."""
+    """One-way antenna pattern, the same for transmit and receive, and the polarisation of each."""
 
     kind: Literal["isotropic", "x4a02", "cosine", "table"] = "x4a02"
     gain_dbi: float | None = Field(
@@ -142,6 +142,9 @@ class AntennaSpec(Spec):
     )
     polarization: Literal["vertical", "horizontal"] = Field(
         "vertical", description="electric field along sensor z or y"
+    )
+    receive_polarization: Literal["vertical", "horizontal"] | None = Field(
+        None, description="the same for the receiver; None: as transmitted"
     )
 
 
