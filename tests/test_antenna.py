@@ -189,3 +189,68 @@ def test_a_broken_far_field_is_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ul.InputError, match=r"b\.ffs: not a far field"):
         gain(ul.AntennaSpec(kind="table", file=str(path)), (1, 0, 0))
+
+
+def planet(path, across, upright, gain_line="GAIN 10 dBi", step=1):
+    """Write an MSI Planet file of attenuations [dB] over both cuts' angles [deg]."""
+    lines = ["NAME an antenna", "FREQUENCY 7290", gain_line, "TILT", "COMMENT gain 3"]
+    for name, cut in (("HORIZONTAL", across), ("VERTICAL", upright)):
+        angles = np.arange(0, 360, step)
+        lines += [f"{name} {len(angles)}", *(f"{angle}.0\t{cut(np.radians(angle)):.4f}" for angle in angles)]
+    path.write_text("\r\n".join(lines) + "\r\n")
+    return ul.AntennaSpec(kind="table", file=str(path))
+
+
+def level(antenna, az_deg, el_deg):
+    """Gain [dBi] at azimuths to the left and elevations upwards."""
+    az, el = np.radians(az_deg), np.radians(el_deg)
+    unit = np.stack(np.broadcast_arrays(np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)), -1)
+    return 20 * np.log10(gain(antenna, unit))
+
+
+def test_cuts_of_planet_are_met_all_round(tmp_path):
+    """The horizontal angle runs clockwise from above; the vertical one to the ground, behind and over the top."""
+
+    def across(angle):
+        return 12 * (1 - np.cos(angle)) + 3 * np.sin(angle / 2) ** 2 * (1 + np.sin(angle)) * abs(np.sin(angle))
+
+    def upright(angle):
+        return 9 * (1 - np.cos(angle)) + 6 * np.sin(angle / 2) ** 2 + 2 * np.sin(angle) ** 2 * (1 + np.sin(angle))
+
+    antenna = planet(tmp_path / "a.msi", across, upright)
+    az, el = np.arange(-180, 181, 15), np.arange(-90, 91, 15)
+    assert level(antenna, az, 0) == pytest.approx(10 - across(np.radians(-az)), abs=0.02)
+    assert level(antenna, 0, el) == pytest.approx(10 - upright(np.radians(-el)), abs=0.02)
+    assert level(antenna, 180, el) == pytest.approx(10 - upright(np.radians(180 + el)), abs=0.02)
+    assert np.ptp(level(antenna, az, 90.0)) < 1e-6  # right above there is one direction
+
+
+def test_between_cuts_of_planet_a_lobe_is_their_product_and_a_dipole_stays_one(tmp_path):
+    def lobe(width):
+        return lambda angle: min(12 * (np.degrees(np.arcsin(np.sin(angle / 2))) * 2 / width) ** 2, 40)
+
+    def dipole(angle):
+        return min(-20 * np.log10(max(abs(np.cos(angle)), 1e-9)), 40)
+
+    found = level(planet(tmp_path / "a.pln", lobe(40), lobe(25), "GAIN 7.85"), 12.0, 8.0)
+    assert found == pytest.approx(10 - lobe(40)(np.radians(12)) - lobe(25)(np.radians(8)), abs=0.05)
+    round_ = planet(tmp_path / "b.MSI", lambda _: 0.0, dipole, "gain 2.15dBi", step=5)
+    az = np.arange(-180, 180, 15)
+    assert level(round_, az, 45.0) == pytest.approx(2.15 - 3.01, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [("GAIN 10 dBi", "GAIN ten"), ("GAIN 10 dBi", ""), ("GAIN 10 dBi", "GAIN " + "9" * 400),
+     ("HORIZONTAL 12", "HORIZONTAL 13"), ("HORIZONTAL 12", "HORIZONTAL 99999999999999999999999"),
+     ("VERTICAL 12", "VERTICAL"), ("150.0\t", "nan\t"), ("90.0\t", "90.0\t-"), ("180.0\t", "180.0 0 "),
+     ("1.0000", "1e308"), ("90.0\t", "60.0\t")],
+)  # fmt: skip
+def test_a_broken_file_of_planet_is_refused(tmp_path, damage):
+    path = tmp_path / "b.msi"
+    planet(path, lambda _: 1.0, lambda _: 1.0, step=30)
+    assert level(ul.AntennaSpec(kind="table", file=str(path)), 0, 0) == pytest.approx(9)
+    path = path.rename(tmp_path / "c.msi")
+    path.write_text(path.read_text().replace(*damage))
+    with pytest.raises(ul.InputError, match=r"c\.msi: not an MSI Planet antenna file \(allowed: GAIN in dBd"):
+        gain(ul.AntennaSpec(kind="table", file=str(path)), (1, 0, 0))

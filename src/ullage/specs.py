@@ -138,7 +138,9 @@ class AntennaSpec(Spec):
     azimuth_deg: float = Field(65.0, gt=0, le=360, description="-3 dB opening in azimuth (cosine)")
     elevation_deg: float = Field(65.0, gt=0, le=360, description="-3 dB opening in elevation (cosine)")
     file: str | None = Field(
-        None, description="table: CSV with azimuth_deg, elevation_deg, gain_dbi; or a far field of CST, .ffs"
+        None,
+        description="table: CSV with azimuth_deg, elevation_deg, gain_dbi; cuts of MSI Planet, .msi or .pln; "
+        "or a far field of CST, .ffs: gain at the middle one of its frequencies, without phase",
     )
     polarization: Literal["vertical", "horizontal"] = Field(
         "vertical", description="electric field along sensor z or y"
