@@ -114,11 +114,16 @@ def test_a_sensors_unknown_unit_hides_how_strong_a_wall_could_be():
     assert mirror_m(frames) == np.inf
 
 
-def far_field(path, power, *, axes=((0, 0, 1), (1, 0, 0)), turns=range(0, 360, 5), frequencies=1):
-    """Write a far field of CST with a lobe ((1 + cos) / 2)^m about its own z, half of it in each polarisation."""
+POWER = 6
+
+
+def far_field(path, power, *, axes=((0, 0, 1), (1, 0, 0)), turns=range(0, 360, 5), lobes=((7.29e9, POWER),)):
+    """Write a far field of CST with a lobe ((1 + cos) / 2)^m about its own z, half of it in each polarisation.
+
+    Each of the lobes has a frequency and an m.
+    """
     z, x = np.array(axes, float)
     tilts = np.arange(0.0, 181.0, 5.0)
-    field = np.sqrt(0.5) * ((1 + np.cos(np.radians(tilts))) / 2) ** (POWER / 2)
     lines = [
         "// CST Farfield Source File",
         "// Version:",
@@ -126,7 +131,7 @@ def far_field(path, power, *, axes=((0, 0, 1), (1, 0, 0)), turns=range(0, 360, 5
         "// Data Type",
         "Farfield",
         "// #Frequencies",
-        frequencies,
+        len(lobes),
     ]
     lines += [
         "// Position",
@@ -137,22 +142,31 @@ def far_field(path, power, *, axes=((0, 0, 1), (1, 0, 0)), turns=range(0, 360, 5
         *x,
         "// Radiated/Accepted/Stimulated Power , Frequency",
     ]
-    lines += [*power, 7.29e9] * frequencies
-    for _ in range(frequencies):
+    for hz, _ in lobes:
+        lines += [*power, hz]
+    for _, m in lobes:
+        field = np.sqrt(0.5) * ((1 + np.cos(np.radians(tilts))) / 2) ** (m / 2)
         lines += ["// >> Total #phi samples, total #theta samples", len(turns), len(tilts), "// >> Phi, Theta, ..."]
         lines += [f"{t} {u} {f} 0 0 {f}" for t in turns for u, f in zip(tilts, field, strict=True)]
     path.write_text("\n".join(map(str, lines)) + "\n")
     return ul.AntennaSpec(kind="table", file=str(path))
 
 
-POWER = 6
+def test_a_radar_takes_the_far_field_nearest_to_its_carrier(tmp_path):
+    lobes = ((6e9, 2), (7.2e9, 4), (8.7e9, 8))
+    antenna = far_field(tmp_path / "a.ffs", (-1, -1, -1), lobes=lobes)
+    for hz, m in ((6.5e9, 2), (7.29e9, 4), (8.8e9, 8)):
+        radar = ul.RadarSpec(center_hz=hz, antenna=antenna)
+        assert gain(radar.antenna, (1, 0, 0))[0] ** 2 == pytest.approx(m + 1, rel=0.01)
+        assert gain(radar.but(center_hz=6e9).antenna, (1, 0, 0))[0] ** 2 == pytest.approx(3, rel=0.01)
+    assert gain(antenna, (1, 0, 0))[0] ** 2 == pytest.approx(5, rel=0.01)
 
 
 @pytest.mark.parametrize(("power", "share"), [((-1, -1, -1), 1.0), ((0.4, 0.45, 0.8), 0.5)])
 @pytest.mark.parametrize("turns", [range(0, 360, 5), range(-180, 181, 5)])
 def test_a_far_field_of_cst_has_its_directivity_and_efficiency(tmp_path, power, share, turns):
     """The lobe's directivity is m + 1 by the integral over the sphere."""
-    antenna = far_field(tmp_path / "a.ffs", power, turns=turns, frequencies=3)
+    antenna = far_field(tmp_path / "a.ffs", power, turns=turns, lobes=((7.29e9, POWER),) * 3)
     unit = np.array([[1, 0, 0], [np.cos(0.5), np.sin(0.5), 0], [np.cos(1.2), 0, -np.sin(1.2)]])
     wanted = share * (POWER + 1) * ((1 + unit[:, 0]) / 2) ** POWER
     assert gain(antenna, unit) ** 2 == pytest.approx(wanted, rel=0.01)

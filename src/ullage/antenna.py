@@ -97,15 +97,18 @@ def _directivity_dbi(antenna: AntennaSpec) -> float:
 
 
 @lru_cache(maxsize=8)
-def _table(file: str) -> tuple[Floats, Floats, Floats]:
-    """Azimuths (a), elevations (e) [deg] and gains (a, e) [dBi] of a CSV file, cuts of Planet or a far field of CST."""
+def _table(file: str, frequency_hz: float | None) -> tuple[Floats, Floats, Floats]:
+    """Azimuths (a), elevations (e) [deg] and gains (a, e) [dBi] of a CSV file, cuts of Planet or a far field of CST.
+
+    Only the far field depends on the frequency.
+    """
     path = Path(file)
     try:
         text = path.read_text(errors="replace")
     except OSError as error:
         raise InputError(f"cannot read the antenna table: {error.strerror}", where=path) from None
     if path.suffix.lower() == ".ffs":
-        return _far_field(text, path)
+        return _far_field(text, path, frequency_hz)
     if path.suffix.lower() in (".msi", ".pln"):
         return _planet(text, path)
     rows = list(csv.DictReader(text.splitlines()))
@@ -124,8 +127,8 @@ def _table(file: str) -> tuple[Floats, Floats, Floats]:
     return az, el, grid
 
 
-def _far_field(text: str, path: Path) -> tuple[Floats, Floats, Floats]:
-    """The same of a far-field source of CST, version 3, at the middle one of its frequencies.
+def _far_field(text: str, path: Path, frequency_hz: float | None) -> tuple[Floats, Floats, Floats]:
+    """The same of a far-field source of CST, version 3, at the nearest of its frequencies; None: the middle one.
 
     The boresight is z in the file and left is x. The gain is the directivity times the radiated power over the
     stimulated one, if the file names both, and has both polarisations together.
@@ -138,9 +141,10 @@ def _far_field(text: str, path: Path) -> tuple[Floats, Floats, Floats]:
         values = np.array([float(word) for word in words[2:]])
         count = int(values[0])
         axes, power = values[4:10].reshape(2, 3), values[10 : 10 + 4 * count].reshape(count, 4)
+        which = count // 2 if frequency_hz is None else int(abs(power[:, 3] - frequency_hz).argmin())
         size = [int(value) for value in values[10 + 4 * count : 12 + 4 * count]]
         parts = values[10 + 4 * count :].reshape(count, 2 + 6 * size[0] * size[1])[:, 2:]
-        phi, theta, *field = parts[count // 2].reshape(size[0], size[1], 6).transpose(2, 0, 1)
+        phi, theta, *field = parts[which].reshape(size[0], size[1], 6).transpose(2, 0, 1)
         turns, tilts = phi[:, 0], theta[0]
         known = np.all(np.diff(turns) > 0) and np.all(np.diff(tilts) > 0) and np.isfinite(values).all()
         known = known and np.linalg.norm(axes, axis=1).all() and np.any(field)
@@ -158,7 +162,7 @@ def _far_field(text: str, path: Path) -> tuple[Floats, Floats, Floats]:
     if np.ptp(turns) < 360:  # the first cut again, as the last one
         turns, density = np.append(turns, turns[0] + 360), np.concatenate([density, density[:1]])
     ring = trapezoid(density, np.radians(turns), axis=0) * np.sin(np.radians(tilts))
-    radiated, _, stimulated, _ = power[count // 2]
+    radiated, _, stimulated, _ = power[which]
     share = radiated / stimulated if min(radiated, stimulated) > 0 else 1.0
     gain = share * 4 * np.pi * density / trapezoid(ring, np.radians(tilts))
     az, el = np.arange(-180.0, 181.0, 2.0), np.arange(-90.0, 91.0, 2.0)
@@ -231,7 +235,7 @@ def _table_peak(antenna: AntennaSpec) -> float:
         return 0.0
     if not antenna.file:
         raise InputError("a table antenna needs a file", where="antenna.file")
-    return float(_table(antenna.file)[2].max())
+    return float(_table(antenna.file, antenna.frequency_hz)[2].max())
 
 
 def _interpolated(antenna: AntennaSpec, unit: Floats) -> Floats:
@@ -239,7 +243,7 @@ def _interpolated(antenna: AntennaSpec, unit: Floats) -> Floats:
     from scipy.interpolate import RegularGridInterpolator
 
     peak = _table_peak(antenna)
-    az, el, dbi = _table(str(antenna.file))
+    az, el, dbi = _table(str(antenna.file), antenna.frequency_hz)
     interpolate = RegularGridInterpolator((az, el), 10 ** ((dbi - peak) / 20))
     a = np.clip(np.degrees(np.arctan2(unit[:, 1], unit[:, 0])), az[0], az[-1])
     e = np.clip(np.degrees(np.arcsin(np.clip(unit[:, 2], -1, 1))), el[0], el[-1])

@@ -140,7 +140,12 @@ class AntennaSpec(Spec):
     file: str | None = Field(
         None,
         description="table: CSV with azimuth_deg, elevation_deg, gain_dbi; cuts of MSI Planet, .msi or .pln; "
-        "or a far field of CST, .ffs: gain at the middle one of its frequencies, without phase",
+        "or a far field of CST, .ffs: its gain, without phase, at the frequency nearest to the carrier",
+    )
+    frequency_hz: float | None = Field(
+        None,
+        gt=0,
+        description="of a far field's gains; a radar puts its center_hz here; None: the middle one of the file",
     )
     polarization: Literal["vertical", "horizontal"] = Field(
         "vertical", description="electric field along sensor z or y"
@@ -393,6 +398,8 @@ class RadarSpec(Spec):
         if self.output == "baseband" and self.bandwidth_hz > 1.2 * self.sampling_hz / self.decimation:
             rate = self.sampling_hz / self.decimation
             raise ValueError(f"bandwidth_hz {self.bandwidth_hz:g} does not fit the baseband rate {rate:g} Hz")
+        if self.antenna.kind == "table":
+            object.__setattr__(self, "antenna", self.antenna.but(frequency_hz=self.center_hz))
         return self
 
     @property

@@ -279,7 +279,7 @@ def _antenna(kind: str) -> Callable[[Path], Sequence[bytes]]:
 
 def _read_antenna(path: Path) -> None:
     """A table, past the store of those read already."""
-    antenna._table.__wrapped__(str(path))
+    antenna._table.__wrapped__(str(path), 7.29e9)
 
 
 def _text(*texts: str) -> Callable[[Path], Sequence[bytes]]:
