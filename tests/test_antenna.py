@@ -114,11 +114,16 @@ def test_a_sensors_unknown_unit_hides_how_strong_a_wall_could_be():
     assert mirror_m(frames) == np.inf
 
 
-def far_field(path, power, *, axes=((0, 0, 1), (1, 0, 0)), turns=range(0, 360, 5), frequencies=1):
-    """Write a far field of CST with a lobe ((1 + cos) / 2)^m about its own z, half of it in each polarisation."""
+POWER = 6
+
+
+def far_field(path, power, *, axes=((0, 0, 1), (1, 0, 0)), turns=range(0, 360, 5), lobes=((7.29e9, POWER),)):
+    """Write a far field of CST with a lobe ((1 + cos) / 2)^m about its own z, half of it in each polarisation.
+
+    Each of the lobes has a frequency and an m.
+    """
     z, x = np.array(axes, float)
     tilts = np.arange(0.0, 181.0, 5.0)
-    field = np.sqrt(0.5) * ((1 + np.cos(np.radians(tilts))) / 2) ** (POWER / 2)
     lines = [
         "// CST Farfield Source File",
         "// Version:",
@@ -126,7 +131,7 @@ def far_field(path, power, *, axes=((0, 0, 1), (1, 0, 0)), turns=range(0, 360, 5
         "// Data Type",
         "Farfield",
         "// #Frequencies",
-        frequencies,
+        len(lobes),
     ]
     lines += [
         "// Position",
@@ -137,22 +142,31 @@ def far_field(path, power, *, axes=((0, 0, 1), (1, 0, 0)), turns=range(0, 360, 5
         *x,
         "// Radiated/Accepted/Stimulated Power , Frequency",
     ]
-    lines += [*power, 7.29e9] * frequencies
-    for _ in range(frequencies):
+    for hz, _ in lobes:
+        lines += [*power, hz]
+    for _, m in lobes:
+        field = np.sqrt(0.5) * ((1 + np.cos(np.radians(tilts))) / 2) ** (m / 2)
         lines += ["// >> Total #phi samples, total #theta samples", len(turns), len(tilts), "// >> Phi, Theta, ..."]
         lines += [f"{t} {u} {f} 0 0 {f}" for t in turns for u, f in zip(tilts, field, strict=True)]
     path.write_text("\n".join(map(str, lines)) + "\n")
     return ul.AntennaSpec(kind="table", file=str(path))
 
 
-POWER = 6
+def test_a_radar_takes_the_far_field_nearest_to_its_carrier(tmp_path):
+    lobes = ((6e9, 2), (7.2e9, 4), (8.7e9, 8))
+    antenna = far_field(tmp_path / "a.ffs", (-1, -1, -1), lobes=lobes)
+    for hz, m in ((6.5e9, 2), (7.29e9, 4), (8.8e9, 8)):
+        radar = ul.RadarSpec(center_hz=hz, antenna=antenna)
+        assert gain(radar.antenna, (1, 0, 0))[0] ** 2 == pytest.approx(m + 1, rel=0.01)
+        assert gain(radar.but(center_hz=6e9).antenna, (1, 0, 0))[0] ** 2 == pytest.approx(3, rel=0.01)
+    assert gain(antenna, (1, 0, 0))[0] ** 2 == pytest.approx(5, rel=0.01)
 
 
 @pytest.mark.parametrize(("power", "share"), [((-1, -1, -1), 1.0), ((0.4, 0.45, 0.8), 0.5)])
 @pytest.mark.parametrize("turns", [range(0, 360, 5), range(-180, 181, 5)])
 def test_a_far_field_of_cst_has_its_directivity_and_efficiency(tmp_path, power, share, turns):
     """The lobe's directivity is m + 1 by the integral over the sphere."""
-    antenna = far_field(tmp_path / "a.ffs", power, turns=turns, frequencies=3)
+    antenna = far_field(tmp_path / "a.ffs", power, turns=turns, lobes=((7.29e9, POWER),) * 3)
     unit = np.array([[1, 0, 0], [np.cos(0.5), np.sin(0.5), 0], [np.cos(1.2), 0, -np.sin(1.2)]])
     wanted = share * (POWER + 1) * ((1 + unit[:, 0]) / 2) ** POWER
     assert gain(antenna, unit) ** 2 == pytest.approx(wanted, rel=0.01)
@@ -188,4 +202,69 @@ def test_a_broken_far_field_is_refused(tmp_path, text):
     path = tmp_path / "b.ffs"
     path.write_text(text)
     with pytest.raises(ul.InputError, match=r"b\.ffs: not a far field"):
+        gain(ul.AntennaSpec(kind="table", file=str(path)), (1, 0, 0))
+
+
+def planet(path, across, upright, gain_line="GAIN 10 dBi", step=1):
+    """Write an MSI Planet file of attenuations [dB] over both cuts' angles [deg]."""
+    lines = ["NAME an antenna", "FREQUENCY 7290", gain_line, "TILT", "COMMENT gain 3"]
+    for name, cut in (("HORIZONTAL", across), ("VERTICAL", upright)):
+        angles = np.arange(0, 360, step)
+        lines += [f"{name} {len(angles)}", *(f"{angle}.0\t{cut(np.radians(angle)):.4f}" for angle in angles)]
+    path.write_text("\r\n".join(lines) + "\r\n")
+    return ul.AntennaSpec(kind="table", file=str(path))
+
+
+def level(antenna, az_deg, el_deg):
+    """Gain [dBi] at azimuths to the left and elevations upwards."""
+    az, el = np.radians(az_deg), np.radians(el_deg)
+    unit = np.stack(np.broadcast_arrays(np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)), -1)
+    return 20 * np.log10(gain(antenna, unit))
+
+
+def test_cuts_of_planet_are_met_all_round(tmp_path):
+    """The horizontal angle runs clockwise from above; the vertical one to the ground, behind and over the top."""
+
+    def across(angle):
+        return 12 * (1 - np.cos(angle)) + 3 * np.sin(angle / 2) ** 2 * (1 + np.sin(angle)) * abs(np.sin(angle))
+
+    def upright(angle):
+        return 9 * (1 - np.cos(angle)) + 6 * np.sin(angle / 2) ** 2 + 2 * np.sin(angle) ** 2 * (1 + np.sin(angle))
+
+    antenna = planet(tmp_path / "a.msi", across, upright)
+    az, el = np.arange(-180, 181, 15), np.arange(-90, 91, 15)
+    assert level(antenna, az, 0) == pytest.approx(10 - across(np.radians(-az)), abs=0.02)
+    assert level(antenna, 0, el) == pytest.approx(10 - upright(np.radians(-el)), abs=0.02)
+    assert level(antenna, 180, el) == pytest.approx(10 - upright(np.radians(180 + el)), abs=0.02)
+    assert np.ptp(level(antenna, az, 90.0)) < 1e-6  # right above there is one direction
+
+
+def test_between_cuts_of_planet_a_lobe_is_their_product_and_a_dipole_stays_one(tmp_path):
+    def lobe(width):
+        return lambda angle: min(12 * (np.degrees(np.arcsin(np.sin(angle / 2))) * 2 / width) ** 2, 40)
+
+    def dipole(angle):
+        return min(-20 * np.log10(max(abs(np.cos(angle)), 1e-9)), 40)
+
+    found = level(planet(tmp_path / "a.pln", lobe(40), lobe(25), "GAIN 7.85"), 12.0, 8.0)
+    assert found == pytest.approx(10 - lobe(40)(np.radians(12)) - lobe(25)(np.radians(8)), abs=0.05)
+    round_ = planet(tmp_path / "b.MSI", lambda _: 0.0, dipole, "gain 2.15dBi", step=5)
+    az = np.arange(-180, 180, 15)
+    assert level(round_, az, 45.0) == pytest.approx(2.15 - 3.01, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [("GAIN 10 dBi", "GAIN ten"), ("GAIN 10 dBi", ""), ("GAIN 10 dBi", "GAIN " + "9" * 400),
+     ("HORIZONTAL 12", "HORIZONTAL 13"), ("HORIZONTAL 12", "HORIZONTAL 99999999999999999999999"),
+     ("VERTICAL 12", "VERTICAL"), ("150.0\t", "nan\t"), ("90.0\t", "90.0\t-"), ("180.0\t", "180.0 0 "),
+     ("1.0000", "1e308"), ("90.0\t", "60.0\t")],
+)  # fmt: skip
+def test_a_broken_file_of_planet_is_refused(tmp_path, damage):
+    path = tmp_path / "b.msi"
+    planet(path, lambda _: 1.0, lambda _: 1.0, step=30)
+    assert level(ul.AntennaSpec(kind="table", file=str(path)), 0, 0) == pytest.approx(9)
+    path = path.rename(tmp_path / "c.msi")
+    path.write_text(path.read_text().replace(*damage))
+    with pytest.raises(ul.InputError, match=r"c\.msi: not an MSI Planet antenna file \(allowed: GAIN in dBd"):
         gain(ul.AntennaSpec(kind="table", file=str(path)), (1, 0, 0))

@@ -10,6 +10,7 @@ The X4A02 dome goes through the values of its data sheet [NoveldaX4A02]: 5.97 dB
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -26,6 +27,8 @@ X4A02_DBI = ((0.0, 5.97), (32.5, 2.97), (47.5, 0.0), (90.0, -6.5), (130.0, -11.0
 _CUBE = 96  # cells along each side of the cube of directions
 _ANGLES, _ROLLS = 1441, 24  # samples from boresight to its back (each 0.125 deg), and of planes around it
 _HALF_POWER_DB, _MAIN_LOBE_DB = 3.0, 6.0
+_MOST_DB = 300.0  # of gains and attenuations in files of Planet
+_DIPOLE_DBI = 2.15  # gain of the half-wave dipole [dBi], over which dBd count [Balanis2012]
 
 
 def gain(antenna: AntennaSpec, directions: ArrayLike) -> Floats:
@@ -94,15 +97,20 @@ def _directivity_dbi(antenna: AntennaSpec) -> float:
 
 
 @lru_cache(maxsize=8)
-def _table(file: str) -> tuple[Floats, Floats, Floats]:
-    """Azimuths (a), elevations (e) [deg] and gains (a, e) [dBi] of a CSV file or a far field of CST."""
+def _table(file: str, frequency_hz: float | None) -> tuple[Floats, Floats, Floats]:
+    """Azimuths (a), elevations (e) [deg] and gains (a, e) [dBi] of a CSV file, cuts of Planet or a far field of CST.
+
+    Only the far field depends on the frequency.
+    """
     path = Path(file)
     try:
         text = path.read_text(errors="replace")
     except OSError as error:
         raise InputError(f"cannot read the antenna table: {error.strerror}", where=path) from None
     if path.suffix.lower() == ".ffs":
-        return _far_field(text, path)
+        return _far_field(text, path, frequency_hz)
+    if path.suffix.lower() in (".msi", ".pln"):
+        return _planet(text, path)
     rows = list(csv.DictReader(text.splitlines()))
     try:
         data = np.array([[float(r[c]) for c in ("azimuth_deg", "elevation_deg", "gain_dbi")] for r in rows])
@@ -119,8 +127,8 @@ def _table(file: str) -> tuple[Floats, Floats, Floats]:
     return az, el, grid
 
 
-def _far_field(text: str, path: Path) -> tuple[Floats, Floats, Floats]:
-    """The same of a far-field source of CST, version 3, at the middle one of its frequencies.
+def _far_field(text: str, path: Path, frequency_hz: float | None) -> tuple[Floats, Floats, Floats]:
+    """The same of a far-field source of CST, version 3, at the nearest of its frequencies; None: the middle one.
 
     The boresight is z in the file and left is x. The gain is the directivity times the radiated power over the
     stimulated one, if the file names both, and has both polarisations together.
@@ -133,9 +141,10 @@ def _far_field(text: str, path: Path) -> tuple[Floats, Floats, Floats]:
         values = np.array([float(word) for word in words[2:]])
         count = int(values[0])
         axes, power = values[4:10].reshape(2, 3), values[10 : 10 + 4 * count].reshape(count, 4)
+        which = count // 2 if frequency_hz is None else int(abs(power[:, 3] - frequency_hz).argmin())
         size = [int(value) for value in values[10 + 4 * count : 12 + 4 * count]]
         parts = values[10 + 4 * count :].reshape(count, 2 + 6 * size[0] * size[1])[:, 2:]
-        phi, theta, *field = parts[count // 2].reshape(size[0], size[1], 6).transpose(2, 0, 1)
+        phi, theta, *field = parts[which].reshape(size[0], size[1], 6).transpose(2, 0, 1)
         turns, tilts = phi[:, 0], theta[0]
         known = np.all(np.diff(turns) > 0) and np.all(np.diff(tilts) > 0) and np.isfinite(values).all()
         known = known and np.linalg.norm(axes, axis=1).all() and np.any(field)
@@ -153,7 +162,7 @@ def _far_field(text: str, path: Path) -> tuple[Floats, Floats, Floats]:
     if np.ptp(turns) < 360:  # the first cut again, as the last one
         turns, density = np.append(turns, turns[0] + 360), np.concatenate([density, density[:1]])
     ring = trapezoid(density, np.radians(turns), axis=0) * np.sin(np.radians(tilts))
-    radiated, _, stimulated, _ = power[count // 2]
+    radiated, _, stimulated, _ = power[which]
     share = radiated / stimulated if min(radiated, stimulated) > 0 else 1.0
     gain = share * 4 * np.pi * density / trapezoid(ring, np.radians(tilts))
     az, el = np.arange(-180.0, 181.0, 2.0), np.arange(-90.0, 91.0, 2.0)
@@ -166,12 +175,67 @@ def _far_field(text: str, path: Path) -> tuple[Floats, Floats, Floats]:
     return az, el, 10 * np.log10(np.maximum(sampled(np.stack([turn, tilt], axis=-1)), 1e-12))
 
 
+def _planet(text: str, path: Path) -> tuple[Floats, Floats, Floats]:
+    """The same of an MSI Planet file, from its cuts through the boresight [PlanetMSI].
+
+    Angles count clockwise as seen from above and from the left, so that horizontal 90 is right and vertical 90 is down.
+    Between the cuts, attenuations in dB are the Boolean sum of interpolations over azimuth and over elevation
+    [GordonHall1973]: both cuts are met all round, and around a lobe their attenuations add up.
+    """
+    try:
+        peak = next(filter(None, (_planet_gain(line) for line in text.splitlines())))
+        across, upright = (_planet_cut(text, name) for name in ("HORIZONTAL", "VERTICAL"))
+        if abs(peak[0]) > _MOST_DB:
+            raise ValueError("GAIN")
+    except (StopIteration, OverflowError, ValueError):
+        raise InputError(
+            "not an MSI Planet antenna file", where=path,
+            allowed="GAIN in dBd or dBi, then HORIZONTAL and VERTICAL cuts: an angle in degrees and an attenuation "
+            "of 0 to 300 dB a line, all round, each 30 deg or less",
+        ) from None  # fmt: skip
+    az, el = np.arange(-180.0, 181.0), np.arange(-90.0, 91.0)
+    back, level = (1 - np.cos(np.radians(az[:, None]))) / 2, np.cos(np.radians(el)) ** 2
+    loss = (1 - back) * _on_cut(upright, -el) + back * _on_cut(upright, 180 + el)
+    loss += level * (_on_cut(across, -az)[:, None] - (1 - back) * _on_cut(across, 0) - back * _on_cut(across, 180))
+    return az, el, peak[0] - np.maximum(loss, 0)
+
+
+def _planet_gain(line: str) -> tuple[float] | None:
+    """Gain of the line of an MSI Planet file that has it [dBi]; without a unit it is over a dipole's."""
+    found = re.fullmatch(r"\s*GAIN\s+([-+]?\d+\.?\d*)\s*(dB[di])?\s*", line, re.IGNORECASE)
+    return (float(found[1]) + (0.0 if (found[2] or "").lower() == "dbi" else _DIPOLE_DBI),) if found else None
+
+
+def _planet_cut(text: str, name: str) -> Floats:
+    """Angles [deg] and attenuations [dB] (n, 2) of one cut of an MSI Planet file.
+
+    Raises:
+        ValueError: there is none, or it has gaps.
+    """
+    _, *rows = re.split(rf"^[ \t]*{name}[ \t]+(\d+)[ \t]*$", text, maxsplit=1, flags=re.IGNORECASE | re.MULTILINE)
+    if not rows:
+        raise ValueError(name)
+    count = int(rows[0])
+    cut = np.array([[float(word) for word in line.split()] for line in rows[1].split("\n")[1 : count + 1]])
+    if cut.shape != (count, 2) or not np.isfinite(cut).all() or cut[:, 1].min() < 0 or cut[:, 1].max() > _MOST_DB:
+        raise ValueError(name)
+    angles = np.sort(cut[:, 0] % 360)
+    if np.diff(angles, append=angles[0] + 360).max() > 30:
+        raise ValueError(name)
+    return cut
+
+
+def _on_cut(cut: Floats, angles: Floats | float) -> Floats:
+    """Attenuations [dB] at angles (n) [deg] of a cut."""
+    return np.asarray(np.interp(angles, cut[:, 0], cut[:, 1], period=360))
+
+
 def _table_peak(antenna: AntennaSpec) -> float:
     if antenna.kind != "table":
         return 0.0
     if not antenna.file:
         raise InputError("a table antenna needs a file", where="antenna.file")
-    return float(_table(antenna.file)[2].max())
+    return float(_table(antenna.file, antenna.frequency_hz)[2].max())
 
 
 def _interpolated(antenna: AntennaSpec, unit: Floats) -> Floats:
@@ -179,7 +243,7 @@ def _interpolated(antenna: AntennaSpec, unit: Floats) -> Floats:
     from scipy.interpolate import RegularGridInterpolator
 
     peak = _table_peak(antenna)
-    az, el, dbi = _table(str(antenna.file))
+    az, el, dbi = _table(str(antenna.file), antenna.frequency_hz)
     interpolate = RegularGridInterpolator((az, el), 10 ** ((dbi - peak) / 20))
     a = np.clip(np.degrees(np.arctan2(unit[:, 1], unit[:, 0])), az[0], az[-1])
     e = np.clip(np.degrees(np.arcsin(np.clip(unit[:, 2], -1, 1))), el[0], el[-1])

@@ -129,7 +129,7 @@ def _mounted(position_m: Vector, rpy_deg: Vector) -> NDArray[np.float64]:
 
 
 class AntennaSpec(Spec):
-    """One-way antenna pattern, the same for transmit and receive."""
+    """One-way antenna pattern, the same for transmit and receive, and the polarisation of each."""
 
     kind: Literal["isotropic", "x4a02", "cosine", "table"] = "x4a02"
     gain_dbi: float | None = Field(
@@ -138,10 +138,20 @@ class AntennaSpec(Spec):
     azimuth_deg: float = Field(65.0, gt=0, le=360, description="-3 dB opening in azimuth (cosine)")
     elevation_deg: float = Field(65.0, gt=0, le=360, description="-3 dB opening in elevation (cosine)")
     file: str | None = Field(
-        None, description="table: CSV with azimuth_deg, elevation_deg, gain_dbi; or a far field of CST, .ffs"
+        None,
+        description="table: CSV with azimuth_deg, elevation_deg, gain_dbi; cuts of MSI Planet, .msi or .pln; "
+        "or a far field of CST, .ffs: its gain, without phase, at the frequency nearest to the carrier",
+    )
+    frequency_hz: float | None = Field(
+        None,
+        gt=0,
+        description="of a far field's gains; a radar puts its center_hz here; None: the middle one of the file",
     )
     polarization: Literal["vertical", "horizontal"] = Field(
         "vertical", description="electric field along sensor z or y"
+    )
+    receive_polarization: Literal["vertical", "horizontal"] | None = Field(
+        None, description="the same for the receiver; None: as transmitted"
     )
 
 
@@ -388,6 +398,8 @@ class RadarSpec(Spec):
         if self.output == "baseband" and self.bandwidth_hz > 1.2 * self.sampling_hz / self.decimation:
             rate = self.sampling_hz / self.decimation
             raise ValueError(f"bandwidth_hz {self.bandwidth_hz:g} does not fit the baseband rate {rate:g} Hz")
+        if self.antenna.kind == "table":
+            object.__setattr__(self, "antenna", self.antenna.but(frequency_hz=self.center_hz))
         return self
 
     @property

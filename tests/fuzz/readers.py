@@ -24,7 +24,7 @@ import numpy as np
 import peers
 
 import ullage as ul
-from ullage import ports
+from ullage import antenna, ports
 from ullage.config import make_scenario
 from ullage.errors import UllageError
 from ullage.experiments.catalog import FOLDER, find_scenario
@@ -264,6 +264,24 @@ def _maps(omap: Callable[[], ul.OccupancyMap], kind: str) -> Callable[[Path], Se
     return seeds
 
 
+def _antenna(kind: str) -> Callable[[Path], Sequence[bytes]]:
+    """A small table of an antenna's gains."""
+    if kind == "csv":
+        rows = [f"{az},{el},{3 + el / 30}" for az in (-180, 0, 180) for el in (-90, 0, 90)]
+        return _text("\n".join(["azimuth_deg,elevation_deg,gain_dbi", *rows]))
+    if kind == "msi":
+        cut = "".join(f"{angle}.0 {angle % 50}\n" for angle in range(0, 360, 30))
+        return _text(f"NAME a\nGAIN 3 dBi\nTILT\nHORIZONTAL 12\n{cut}VERTICAL 12\n{cut}")
+    cuts = [f"{phi} {theta} 1 0 0 0" for phi in range(0, 360, 30) for theta in range(0, 181, 30)]
+    head = ["// a", "3.0", "Farfield", "1", "0 0 0", "0 0 1", "1 0 0", "1 1 1 7e9", "12 7"]
+    return _text("\n".join([*head, *cuts]))
+
+
+def _read_antenna(path: Path) -> None:
+    """A table, past the store of those read already."""
+    antenna._table.__wrapped__(str(path), 7.29e9)
+
+
 def _text(*texts: str) -> Callable[[Path], Sequence[bytes]]:
     return lambda folder: [text.encode() for text in texts]
 
@@ -487,6 +505,7 @@ READERS = [
         Reader(f"mesh-{kind}", _meshes(kind), f"m.{kind}", ul.load_scene)
         for kind in ("stl", "obj", "ply", "glb", "dae")
     ),
+    *(Reader(f"antenna-{kind}", _antenna(kind), f"a.{kind}", _read_antenna) for kind in ("csv", "ffs", "msi")),
     Reader("map-server", _map_files, "m.yaml", _read_map_server),
     Reader("octomap-bt", _maps(volume, "bt"), "m.bt", ports.read_map),
     Reader("octomap-ot", _maps(volume, "ot"), "m.ot", ports.read_map),

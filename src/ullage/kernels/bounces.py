@@ -265,7 +265,8 @@ def reflect(
         mirrors: `Mirrors`.
         antennas: `Orientations` of transmitter and receiver.
         factor: (b) multiplied by the reflections; a path whose factor is 0 is skipped.
-        imaged: `Orientations` of each path; gets those of the transmitter's last image and of the receiver.
+        imaged: `Orientations` of each path; gets the frames of the transmitter's last image and of
+            the receiver; the field of that image for both, since the factor holds the polarisation.
         scratch: `ReflectScratch`.
     """
     normals, object_ids, gamma, fields = mirrors.normals, mirrors.object_ids, mirrors.gamma, antennas.fields
@@ -286,6 +287,8 @@ def reflect(
             for row in range(3):
                 mirrored(n, imaged.frames[i, 0, row])
             mirrored(n, imaged.fields[i, 0])
+        for k in range(3):
+            imaged.fields[i, 1, k] = imaged.fields[i, 0, k]  # `factor` holds the polarisation
         unit_to(paths[i, first], paths[i, first + 1], unit)
         field_across(fields[0], unit, start)
         for k in range(3):

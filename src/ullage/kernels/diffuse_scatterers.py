@@ -62,15 +62,16 @@ def accumulate_diffuse_scatterers(
             continue
         total = 0.0
         for i in range(tiles.first[k], tiles.first[k + 1]):
-            g, path, cosine, share = 1.0, 0.0, 0.0, 0.0
+            g, path, cosine, share, both = 1.0, 0.0, 0.0, 0.0, 0.0
             for s in range(2):
                 dx, dy, dz = (points[i, 0] - origins[0, s, 0], points[i, 1] - origins[0, s, 1],
                               points[i, 2] - origins[0, s, 2])  # fmt: skip
                 r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
                 ux, uy, uz = dx / r, dy / r, dz / r
                 if s == 0 or not mono:
-                    te = te_share(antennas.fields, ONE, ux, uy, uz, normals[i, 0], normals[i, 1], normals[i, 2])
+                    te, whole = te_share(antennas.fields, ONE, ux, uy, uz, normals[i, 0], normals[i, 1], normals[i, 2])
                     share += te if mono else 0.5 * te
+                    both += whole if mono else 0.5 * whole
                 cosine += 0.5 * abs(ux * normals[i, 0] + uy * normals[i, 1] + uz * normals[i, 2])
                 g *= toward(antennas.table, antennas.isotropic, antennas.frames, ONE, s, ux, uy, uz) * spread(
                     omega / C0, r
@@ -81,7 +82,7 @@ def accumulate_diffuse_scatterers(
             u -= j
             te = lobes[object_ids[i], 0, j] * (1 - u) + lobes[object_ids[i], 0, j + 1] * u
             tm = lobes[object_ids[i], 1, j] * (1 - u) + lobes[object_ids[i], 1, j + 1] * u
-            value = scale * between.factor[k] * tiles.weights[i] * g * (share * te + (1 - share) * tm)
+            value = scale * between.factor[k] * tiles.weights[i] * g * (share * te + (both - share) * tm)
             late = path / C0 + between.delay_s[k]
             total += late
             landed = late - math.floor((late - start) / fold) * fold

@@ -11,7 +11,19 @@ import math
 from typing import NamedTuple
 
 from ullage.arrays import Bools, Floats, Ints, Longs
-from ullage.kernels.facets import FROM, ONE, TO, VERTEX, Antennas, EchoSums, PulseGrid, Transmission, same, toward
+from ullage.kernels.facets import (
+    FROM,
+    ONE,
+    TO,
+    VERTEX,
+    Antennas,
+    EchoSums,
+    PulseGrid,
+    Transmission,
+    alike,
+    same,
+    toward,
+)
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
 from ullage.kernels.outlines import LineEcho, accumulate_pulses
@@ -190,11 +202,15 @@ def strength(
     # the rim of a thin body: only its wide face, from the side it looks to, front and back
     if transmissive[w] and ux * nx + uy * ny + uz * nz >= 0:
         return 0.0, path, bend
-    total = 0.0
-    for i in range(2):
-        side, sign = (0, 1.0 - 2.0 * i) if transmissive[w] else (i, 1.0)
-        total += face(2.0 if transmissive[w] else wedges.angles[w], inward, normals, w, side, sign, rows, rows[3])
-    return g * total, path, bend
+    total, orders = 0.0, 1 if alike(fields, ONE) else 2
+    for order in range(orders):
+        for i in range(2):
+            side, sign = (0, 1.0 - 2.0 * i) if transmissive[w] else (i, 1.0)
+            total += face(2.0 if transmissive[w] else wedges.angles[w], inward, normals, w, side, sign, rows, rows[3])
+        if order < orders - 1:  # straight back the echo is that of exchanged antennas: the mean of both
+            for j in range(3):
+                rows[1, j], rows[2, j] = rows[2, j], rows[1, j]
+    return g * total / orders, path, bend
 
 
 @core(fastmath=True, error_model="numpy", forceinline=True)

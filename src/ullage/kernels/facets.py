@@ -357,15 +357,15 @@ def _strip(
 
 
 @core(fastmath=True, error_model="numpy")
-def _reflection(gamma: Complexes, object_id: int, tap: int, cosine: float, across: float) -> complex:
-    """Reflection coefficient from the tables over cos(incidence): `across` is the TE share of the power."""
+def _reflection(gamma: Complexes, object_id: int, tap: int, cosine: float, across: float, both: float) -> complex:
+    """Reflection coefficient from the tables over cos(incidence); `across` and `both` as `te_share` gives them."""
     n = gamma.shape[3] - 1
     u = min(cosine, 0.9999999) * n
     i = int(u)
     u -= i
     te = gamma[object_id, tap, 0, i] * (1 - u) + gamma[object_id, tap, 0, i + 1] * u
     tm = gamma[object_id, tap, 1, i] * (1 - u) + gamma[object_id, tap, 1, i + 1] * u
-    return across * te + (1 - across) * tm
+    return across * te + (both - across) * tm
 
 
 @core(fastmath=True, error_model="numpy")
@@ -378,21 +378,41 @@ def _late(lag: Floats, object_id: int, tap: int, cosine: float) -> float:
 
 
 @core(fastmath=True, error_model="numpy")
-def te_share(fields: Floats, o: int, ux: float, uy: float, uz: float, nx: float, ny: float, nz: float) -> float:
-    """Share of the electric field across the plane of incidence, for a wave along u at a face with normal n."""
+def alike(fields: Floats, o: int) -> bool:
+    """Whether transmitter and receiver of a radar have one polarisation."""
+    return (fields[o, 0, 0] == fields[o, 1, 0] and fields[o, 0, 1] == fields[o, 1, 1]
+            and fields[o, 0, 2] == fields[o, 1, 2])  # fmt: skip
+
+
+@core(fastmath=True, error_model="numpy")
+def te_share(
+    fields: Floats, o: int, ux: float, uy: float, uz: float, nx: float, ny: float, nz: float
+) -> tuple[float, float]:
+    """Product of the transmitted and received unit fields for a wave along u at a face with normal n.
+
+    Returns:
+        The product of their parts across the plane of incidence, and the whole product; the latter is 1 for one
+        polarisation.
+    """
     sx, sy, sz = uy * nz - uz * ny, uz * nx - ux * nz, ux * ny - uy * nx
     ex, ey, ez = fields[o, 0, 0], fields[o, 0, 1], fields[o, 0, 2]
     eu, es = ex * ux + ey * uy + ez * uz, ex * sx + ey * sy + ez * sz
     square = (sx * sx + sy * sy + sz * sz) * (1 - eu * eu)
-    if square < 1e-12:
-        return 0.5
-    return min(es * es / square, 1.0)
+    if alike(fields, o):
+        if square < 1e-12:
+            return 0.5, 1.0
+        return min(es * es / square, 1.0), 1.0
+    rx, ry, rz = fields[o, 1, 0], fields[o, 1, 1], fields[o, 1, 2]
+    ru, rs = rx * ux + ry * uy + rz * uz, rx * sx + ry * sy + rz * sz
+    size = math.sqrt(max((1 - eu * eu) * (1 - ru * ru), 1e-24))
+    both, square = (ex * rx + ey * ry + ez * rz - eu * ru) / size, sx * sx + sy * sy + sz * sz
+    return (0.5 * both if square < 1e-12 else es * rs / (square * size)), both
 
 
 @core(fastmath=True, error_model="numpy")
 def _corners(
     leaves: Floats, k: int, normals: Floats, face: int, antennas: Antennas, o: int, scratch: CornerScratch
-) -> tuple[float, float, float]:
+) -> tuple[float, float, float, float]:
     """Gain over ranges, cos(incidence) and path length at the corners of a piece go to `scratch`.
 
     Args:
@@ -405,12 +425,14 @@ def _corners(
         scratch: `CornerScratch`.
 
     Returns:
-        How far the chord lies beyond the curved path on average [m], the area [m^2] and the TE share of the power.
+        How far the chord lies beyond the curved path on average [m], the area [m^2], and the products of
+        both fields as of `te_share`.
     """
     origins, base, cosine, tau = antennas.origins, scratch.base, scratch.cosine, scratch.path
     mono = same(origins, o)
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
-    bulge, share = 0.0, 0.0
+    bulge, share, both, samples = 0.0, 0.0, 0.0, 1 if alike(antennas.fields, o) else 3
+    weight = (1.0 if mono else 0.5) / samples
     for i in range(3):
         j = (i + 1) % 3
         ex, ey, ez = (
@@ -427,8 +449,9 @@ def _corners(
             )
             r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
             ux, uy, uz = dx / r, dy / r, dz / r
-            if i == 0:
-                share += te_share(antennas.fields, o, ux, uy, uz, nx, ny, nz) * (1.0 if mono else 0.5)
+            if i < samples:
+                te, whole = te_share(antennas.fields, o, ux, uy, uz, nx, ny, nz)
+                share, both = share + te * weight, both + whole * weight
             along = ex * ux + ey * uy + ez * uz
             c = nx * ux + ny * uy + nz * uz
             far, c = lifted(r, c)
@@ -446,7 +469,7 @@ def _corners(
     bx, by, bz = leaves[k, 2, 0] - leaves[k, 0, 0], leaves[k, 2, 1] - leaves[k, 0, 1], leaves[k, 2, 2] - leaves[k, 0, 2]
     area = 0.5 * math.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2)
     # the chord lies beyond the curved path by sum(lambda_i lambda_j curve_ij / 2), whose mean is sum / 24
-    return bulge / 24, area, share
+    return bulge / 24, area, share, both
 
 
 @lean(fastmath=True, error_model="numpy")
@@ -478,7 +501,7 @@ def accumulate(
             continue
         face, o = pieces.triangle[k], pieces.radar[k]
         material = lit.materials[face]
-        early, area, share = _corners(pieces.corners, k, lit.normals, face, lit.antennas, o, scratch)
+        early, area, share, both = _corners(pieces.corners, k, lit.normals, face, lit.antennas, o, scratch)
         scale = 1j * area / (4 * math.pi) * between.factor[k] * lit.antennas.factor[o]
         for tap in range(gamma.shape[1]):
             if lag[material, tap, 0] < 0:
@@ -489,7 +512,7 @@ def accumulate(
                 sums.delay_s[k] = mean
             landed = mean - math.floor((mean - t0) / fold) * fold
             for i in range(3):
-                w[i] = base[i] * cosine[i] * _reflection(gamma, material, tap, cosine[i], share)
+                w[i] = base[i] * cosine[i] * _reflection(gamma, material, tap, cosine[i], share, both)
             while landed < last:
                 for i in range(3):
                     t = (tau[i] - early) / C0 + late + landed - mean

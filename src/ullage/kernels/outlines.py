@@ -114,7 +114,7 @@ def _weight(rows: Floats, k: int, at: int, lit: LitFaces, face: int, tap: int) -
     normals, antennas, origins = lit.normals, lit.antennas, lit.antennas.origins
     o = face if len(origins) > 1 else 0
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
-    gain, cosine, share = 1.0, 0.0, 0.0
+    gain, cosine, share, both = 1.0, 0.0, 0.0, 0.0
     for s in range(2):
         dx, dy, dz = (
             rows[k, at] - origins[o, s, 0],
@@ -123,17 +123,17 @@ def _weight(rows: Floats, k: int, at: int, lit: LitFaces, face: int, tap: int) -
         )
         r = 1 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
         ux, uy, uz = dx * r, dy * r, dz * r
-        te = te_share(antennas.fields, o, ux, uy, uz, nx, ny, nz)
-        share += 0.5 * te
+        te, whole = te_share(antennas.fields, o, ux, uy, uz, nx, ny, nz)
+        share, both = share + 0.5 * te, both + 0.5 * whole
         one = toward(antennas.table, antennas.isotropic, antennas.frames, o, s, ux, uy, uz)
         gain *= one
         cosine += 0.5 * abs(ux * nx + uy * ny + uz * nz)
         if s == 0 and same(origins, o):
             gain *= one
             cosine *= 2
-            share = te
+            share, both = te, whole
             break
-    return gain * _reflection(lit.reflection.gamma, lit.materials[face], tap, cosine, share), cosine
+    return gain * _reflection(lit.reflection.gamma, lit.materials[face], tap, cosine, share, both), cosine
 
 
 @core(fastmath=True, error_model="numpy")

@@ -8,7 +8,18 @@ from typing import NamedTuple
 import numpy as np
 
 from ullage.arrays import Complexes, Floats, Ints
-from ullage.kernels.facets import FROM, TO, Antennas, EchoSums, PulseGrid, Transmission, _mean_range, toward
+from ullage.kernels.facets import (
+    FROM,
+    TO,
+    Antennas,
+    EchoSums,
+    PulseGrid,
+    Transmission,
+    _mean_range,
+    alike,
+    te_share,
+    toward,
+)
 from ullage.kernels.loops import core, loop
 from ullage.kernels.near import spread
 from ullage.kernels.outlines import accumulate_line
@@ -104,7 +115,7 @@ def _element(
     The path length [m] and its bend along the wire [1/m] go to `out`.
     """
     g, path, bend, sine = 1.0 + 0j, 0.0, 0.0, 0.0
-    share, w = 0.0, pieces.wire[k]
+    share, both, w = 0.0, 0.0, pieces.wire[k]
     origins, fields, points = antennas.origins, antennas.fields, pieces.ends
     for s in range(2):
         dx, dy, dz = (points[k, end, 0] - origins[o, s, 0], points[k, end, 1] - origins[o, s, 1],
@@ -113,10 +124,15 @@ def _element(
         ux, uy, uz = dx / r, dy / r, dz / r
         along = axis[0] * ux + axis[1] * uy + axis[2] * uz
         slope = math.sqrt(max(1 - along * along, 0.0))
-        ex, ey, ez = fields[o, s, 0], fields[o, s, 1], fields[o, s, 2]
-        eu, ea = ex * ux + ey * uy + ez * uz, ex * axis[0] + ey * axis[1] + ez * axis[2]
-        square = slope * slope * max(1 - eu * eu, 1e-12)
-        share += 0.5 * min((ea - eu * along) ** 2 / square, 1.0) if square > 1e-12 else 0.0
+        if alike(fields, o):
+            ex, ey, ez = fields[o, s, 0], fields[o, s, 1], fields[o, s, 2]
+            eu, ea = ex * ux + ey * uy + ez * uz, ex * axis[0] + ey * axis[1] + ez * axis[2]
+            square = slope * slope * max(1 - eu * eu, 1e-12)
+            share += 0.5 * min((ea - eu * along) ** 2 / square, 1.0) if square > 1e-12 else 0.0
+            both += 0.5
+        else:
+            across, whole = te_share(fields, o, ux, uy, uz, axis[0], axis[1], axis[2])
+            share, both = share + 0.5 * (whole - across), both + 0.5 * whole
         g *= toward(antennas.table, antennas.isotropic, antennas.frames, o, s, ux, uy, uz) * spread(wave, r)
         path += max(r - pieces.radii[w] * slope, 0.0)
         bend += (1 - along * along) / r
@@ -129,7 +145,7 @@ def _element(
     tm = series[w, 0, i] * (1 - u) + series[w, 0, i + 1] * u
     te = series[w, 1, i] * (1 - u) + series[w, 1, i + 1] * u
     out[0], out[1] = path, bend
-    return g * (share * tm + (1 - share) * te)
+    return g * (share * tm + (both - share) * te)
 
 
 @loop(fastmath=True, error_model="numpy")

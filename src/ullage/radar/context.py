@@ -63,6 +63,16 @@ class AntennaPair:
         """Whether transmitter and receiver stand at one place."""
         return bool(self.origins[0].tolist() == self.origins[1].tolist())
 
+    @property
+    def alike(self) -> bool:
+        """Whether transmitter and receiver have one polarisation."""
+        return bool(self.fields[0].tolist() == self.fields[1].tolist())
+
+    @property
+    def reversible(self) -> bool:
+        """Whether a path and its reverse carry the same wave."""
+        return self.monostatic and self.alike
+
     def swapped(self) -> AntennaPair:
         """Return the radar that sends from this one's receiver."""
         origins, frames, fields = (np.ascontiguousarray(row[::-1]) for row in (self.origins, self.frames, self.fields))
@@ -204,10 +214,9 @@ def _plain(gamma: Complexes) -> Complexes:
 def antenna_pair(spec: RadarSpec, position: Floats, turn: Floats) -> AntennaPair:
     """The radar at a position (3) [m] with world_from_sensor rotation (3, 3)."""
     arm = turn[:, 1] * (spec.antenna_offset_m / 2)
-    field = turn[:, 2] if spec.antenna.polarization == "vertical" else turn[:, 1]
-    return AntennaPair(
-        np.array([position + arm, position - arm]), np.array([turn.T, turn.T], order="C"), np.array([field, field])
-    )
+    kinds = spec.antenna.polarization, spec.antenna.receive_polarization or spec.antenna.polarization
+    fields = np.array([turn[:, 2] if kind == "vertical" else turn[:, 1] for kind in kinds])
+    return AntennaPair(np.array([position + arm, position - arm]), np.array([turn.T, turn.T], order="C"), fields)
 
 
 def accumulate_triangles(

@@ -20,6 +20,7 @@ from ullage.geometry import C0
 from ullage.radar.context import AntennaPair, RadarContext, transmission_to
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
+from ullage.radar.mirrors import across, dot
 from ullage.radar.penetration import reflection_tables
 from ullage.radar.pulse import spectrum
 from ullage.radar.reflected_paths import accumulate
@@ -146,6 +147,11 @@ def accumulate_creeping(
     factor = antennas.factor * between.factor
     for direction, frame in zip(toward, antennas.frames, strict=True):
         factor = factor * gain(context.spec.antenna, direction @ frame.T)
+    if not antennas.alike:  # a ball returns the polarisation that it meets
+        sent, received = (
+            across(np.broadcast_to(field, u.shape), u) for field, u in zip(antennas.fields, toward, strict=True)
+        )
+        factor = factor * dot(sent, received)
     every = list(known.values())
     made = [every[k] for k in seen]
     of = np.repeat(np.arange(len(made)), [len(one.delay_s) for one in made])

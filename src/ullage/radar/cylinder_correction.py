@@ -27,6 +27,7 @@ from ullage.geometry import C0
 from ullage.radar.context import AntennaPair, RadarContext, transmission_to
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
+from ullage.radar.mirrors import across, dot
 from ullage.radar.quadrics import Quadric
 from ullage.radar.reflected_paths import accumulate
 
@@ -334,10 +335,21 @@ def reflection(
     low = np.minimum(places.astype(np.int64), rows.shape[2] - 2)
     up, each = places - low, np.arange(len(low))
     te, tm = (rows[each, k, low] * (1 - up) + rows[each, k, low + 1] * up for k in range(2))
+    if not antennas.alike:
+        share, both = (sum(rows) / 2 for rows in zip(*(_products(antennas, u, inward) for u in paths), strict=True))
+        return np.asarray(share * te + (both - share) * tm)
     share = _te_share(antennas.fields[0], paths[0], inward)
     if not _one_place(antennas):
         share = (share + _te_share(antennas.fields[1], paths[1], inward)) / 2
     return np.asarray(share * te + (1 - share) * tm)
+
+
+def _products(antennas: AntennaPair, paths: Floats, normals: Floats) -> tuple[Floats, Floats]:
+    """Compute what `kernels.facets.te_share` does for two polarisations, of many paths (n, 3) and normals (n, 3)."""
+    sent, received = (across(np.broadcast_to(field, paths.shape), paths) for field in antennas.fields)
+    side, both = np.cross(paths, normals), dot(sent, received)
+    square = dot(side, side)
+    return np.where(square < 1e-12, both / 2, dot(sent, side) * dot(received, side) / np.maximum(square, 1e-12)), both
 
 
 def _te_share(field: Floats, paths: Floats, normals: Floats) -> Floats:

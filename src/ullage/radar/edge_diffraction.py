@@ -157,7 +157,7 @@ def _receivable(context: RadarContext, antennas: AntennaPair, asked: edge_diffra
     """Find the lit lines whose echoes are not too faint; `across`: only the electric field across them counts."""
     wave, gate, scratch = context.pulse.omega / C0, np.array(context.gate), np.empty(3)
     found = []
-    for pair in (antennas,) if antennas.monostatic else (antennas, antennas.swapped()):
+    for pair in (antennas,) if antennas.reversible else (antennas, antennas.swapped()):
         out = np.empty(len(asked.lit), np.int64)
         count = edge_diffraction.audible(asked, across, context.antennas(pair), wave, gate, FAINT, scratch, out)
         found.append(out[:count])

@@ -85,7 +85,7 @@ def _of_order(
     some = largest(sizes[1] * ~planar.smooth, chosen.faces)
     held, shares = choose_largest(sizes[1][some], chosen.faces)
     faces = some[held]
-    rows, counts = _sequences(bounces, len(faces), len(which), antennas.monostatic)
+    rows, counts = _sequences(bounces, len(faces), len(which), antennas.reversible)
     if not len(rows):
         return []
     met = joined([points_of(antennas.origins), faces_of(planar).take(faces), bodies])

@@ -1,4 +1,4 @@
-"""Waves at flat mirrors: images, beams over them, and the field after a bounce."""
+"""Beams over flat mirrors, and small things done with many vectors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.arrays import Complexes, Floats, Ints, Longs
+from ullage.arrays import Floats, Ints, Longs
 from ullage.kernels import bounces
 
 
@@ -35,29 +35,6 @@ class Beams:
     def images(self) -> Floats:
         """The transmitter's last images (b, 3) [m]."""
         return np.ascontiguousarray(self.over[:, -1])
-
-
-def reflected(
-    gamma: Complexes, object_ids: NDArray[np.integer], field: NDArray[Any], u: Floats, normals: Floats
-) -> Complexes:
-    """Fields (m, 3) of waves along u (m, 3) after a bounce at mirrors with unit normals (m, 3).
-
-    Args:
-        gamma: (s, 1, 2, c) reflection over cos(incidence), TE and TM.
-        object_ids: (m) material of each mirror.
-        field: (m, 3) before the bounce.
-        u: (m, 3) unit vectors of travel.
-        normals: (m, 3).
-    """
-    place = np.minimum(abs(dot(u, normals)), 1) * (gamma.shape[3] - 1)
-    low = np.minimum(place.astype(np.int64), gamma.shape[3] - 2)
-    share = place - low
-    rows = gamma[object_ids, 0]
-    many = np.arange(len(u))
-    te, tm = ((rows[many, k, low] * (1 - share) + rows[many, k, low + 1] * share)[:, None] for k in range(2))
-    side = unit(np.cross(u, normals))
-    out = tm * field + (te - tm) * dot(side, field)[:, None] * side
-    return np.asarray(out - 2 * dot(out, normals)[:, None] * normals)
 
 
 def dot(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:

@@ -110,7 +110,14 @@ class Rays:
         self.scene, self.caster = scene, Raycaster(scene, wires=True)
 
     def sensor(self, spec: RadarSpec) -> RadarSpec:
-        """The radar with a range axis that reaches R_max."""
+        """The radar with a range axis that reaches R_max.
+
+        Raises:
+            InputError: the receiver has a polarisation of its own, which the ray model does not know.
+        """
+        if spec.antenna.receive_polarization not in (None, spec.antenna.polarization):
+            raise InputError("the ray model has no polarisation", where="antenna.receive_polarization",
+                             allowed='fidelity "physical"')  # fmt: skip
         return reaching_max_range(spec)
 
     def check(self, path: Trajectory, sensors: Mapping[str, RadarSpec]) -> None:

@@ -48,7 +48,7 @@ def accumulate_bounces(
 ) -> list[EchoSet]:
     """Add the echoes of two to `max_bounces` bounces between flat faces to the delay grids (3, g).
 
-    A wave meets the mirrors before the face that is integrated over. Where the antennas are apart, each sends half: by
+    A wave meets the mirrors before the face that is integrated over. Where the antennas differ, each sends half: by
     reciprocity, the reversed radar gives the waves that meet that face first.
 
     Args:
@@ -64,7 +64,7 @@ def accumulate_bounces(
         return []
     half = replace(antennas, factor=0.5 * antennas.factor)
     out: list[EchoSet] = []
-    for radar, back in ((antennas, False),) if antennas.monostatic else ((half, False), (half.swapped(), True)):
+    for radar, back in ((antennas, False),) if antennas.reversible else ((half, False), (half.swapped(), True)):
         beams = beams_of(context, planar, radar, max_bounces, sizes)
         if len(beams):
             echoes = _accumulate(context, parts, planar, radar, beams, grids)

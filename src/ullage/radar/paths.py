@@ -77,7 +77,7 @@ class PathSet:
     def antennas(self, radar: Antennas, of: Longs | None = None) -> Antennas:
         """Return the images of one radar that the ends of all paths, or of some (m), see: one for each path."""
         some = slice(None) if of is None else of
-        fields = np.repeat(radar.fields, len(self.weights[some]), 0)
+        fields = np.repeat(radar.fields[:, [0, 0]], len(self.weights[some]), 0)  # factors hold the polarisation
         return radar._replace(origins=self.ends[some], frames=self.frames[some], fields=fields,
                               factor=radar.factor * self.weights[some])  # fmt: skip
 
@@ -92,7 +92,7 @@ def paths_of(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair
     first = largest(sizes, FACES)
     counts = [FACES if bounces == 2 else PAIRS for bounces in range(2, min(most, max(_CHAINS)) + 1)]
     taken = [choose_largest(sizes[first], count) for count in counts]
-    one = antennas.monostatic
+    one = antennas.reversible
     rows, over, twice, legs = _rows(tuple(len(which) for which, _ in taken), one)
     chosen = np.concatenate([*(first[which] for which, _ in taken), np.array([-1])])
     shares = np.concatenate([*(weights[which] for which, weights in taken), np.ones(1)])

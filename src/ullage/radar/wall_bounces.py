@@ -131,8 +131,9 @@ def accumulate_walls(
 
 def both_sides(antennas: AntennaPair) -> list[AntennaPair]:
     """List the radar and the one that sends from its receiver; they are one, twice as strong, if they do not differ."""
-    one = antennas.monostatic and bool((antennas.fields[0] == antennas.fields[1]).all())
-    return [replace(antennas, factor=2 * antennas.factor)] if one else [antennas, antennas.swapped()]
+    if antennas.reversible:
+        return [replace(antennas, factor=2 * antennas.factor)]
+    return [antennas, antennas.swapped()]
 
 
 def around(context: RadarContext, quadrics: tuple[Quadric, ...], antennas: AntennaPair) -> Iterator[Quadric]:
