@@ -54,15 +54,18 @@ def flight(kind: str, seed: int, *, volume: bool = False) -> Trajectory:
 def rig(kind: str, seed: int) -> Rig:
     """Draw four radars for the flight of the same kind and seed: the X4M05 with its own or another antenna.
 
+    Their pulse interval alternates, since some worlds are longer than one.
+
     Raises:
         InputError: the kind is unknown, or the seed is not a whole number of 0 or more.
     """
     made = plan(kind, seed)
     rng = np.random.default_rng([made.seed, zlib.crc32(Path(kind).name.encode()), 2])
     if rng.random() < 0.5:
-        return Rig.preset("thesis-4")
+        return Rig.preset("thesis-4", stagger_div=17)
     azimuth, elevation = rng.uniform(45, 85, 2)
-    return Rig.preset("thesis-4", antenna={"kind": "cosine", "azimuth_deg": azimuth, "elevation_deg": elevation})
+    antenna = {"kind": "cosine", "azimuth_deg": azimuth, "elevation_deg": elevation}
+    return Rig.preset("thesis-4", stagger_div=17, antenna=antenna)
 
 
 def _arc(points: Floats) -> Floats:
