@@ -16,7 +16,9 @@ from ullage.errors import CalibrationError, InputError, UllageWarning
 from ullage.geometry import quat_matrix
 from ullage.processing.baseband import checked
 from ullage.processing.bundle import Bundle, adjusted, held
+from ullage.processing.floor import floor_echo
 from ullage.processing.motion_match import Gains, MotionMatch
+from ullage.processing.own_echo import without_own_echo
 from ullage.processing.point_focus import (
     ARM,
     BORESIGHT,
@@ -30,7 +32,7 @@ from ullage.processing.point_focus import (
     Start,
 )
 from ullage.processing.track_check import DECISIVE, LEAST_PROBABILITY, track_axes, track_scale
-from ullage.specs import MountSpec, RadarSpec
+from ullage.specs import MountSpec
 
 Progress = Callable[[float], None]
 Guess = Sequence[float] | Calibration
@@ -49,6 +51,7 @@ LOCAL_M = 0.5  # half the part of the track from which scatterers are fitted fir
 CLOCK_HALF_S, RANGE_STEP_M, REDRAWN_M = 0.08, 0.06, 0.2
 TAIL, TAIL_M = 1e-5, 0.5  # share and width of the range prior's tail: cables get exchanged
 MOST_SPEED_M_S = 50.0
+CONTRADICTION = 3.0  # standard deviations between the floor's echo and the range offset
 LEAST_GAIN = 200.0  # of the three most coherent points: 227 to 545 on real recordings, 175 with the track of another
 
 
@@ -61,6 +64,7 @@ def calibrate(
     range_span_m: float = ...,
     reflectors: ArrayLike | None = ...,
     lever_arm_sigma_m: float | None = ...,
+    floor_z_m: float | None = ...,
     progress: Progress | None = ...,
 ) -> Frames: ...
 @overload
@@ -72,6 +76,7 @@ def calibrate(
     range_span_m: float = ...,
     reflectors: ArrayLike | None = ...,
     lever_arm_sigma_m: float | None = ...,
+    floor_z_m: float | None = ...,
     progress: Progress | None = ...,
 ) -> dict[str, Frames]: ...
 
@@ -84,6 +89,7 @@ def calibrate(
     range_span_m: float = 1.0,
     reflectors: ArrayLike | None = None,
     lever_arm_sigma_m: float | None = None,
+    floor_z_m: float | None = None,
     progress: Progress | None = None,
 ) -> Frames | dict[str, Frames]:
     """Put frames on the track's clock and correct their range axis; refuse where the recording does not decide.
@@ -105,6 +111,8 @@ def calibrate(
         reflectors: (r, 3) surveyed places of reflectors, world [m]; these alone then settle clock and range.
         lever_arm_sigma_m: how far the antenna may be from where the mount puts it, one sigma of each axis [m]; None:
             as the mount says, and 0.05 m where it sets no place.
+        floor_z_m: height of a level floor [m]. Where its echo contradicts the range offset, the floor becomes the range
+            zero. Not used with `reflectors`.
         progress: called with the share of the work done.
 
     Raises:
@@ -121,6 +129,7 @@ def calibrate(
                 range_span_m=range_span_m,
                 reflectors=reflectors,
                 lever_arm_sigma_m=lever_arm_sigma_m,
+                floor_z_m=floor_z_m,
                 progress=progress,
             )
             for name, part in frames.items()
@@ -143,10 +152,29 @@ def calibrate(
         prior = replace(prior, range_m=0.0, range_sigma_m=np.inf)  # the survey takes the place of the radar's own zero
     match = MotionMatch(checked(frames), track)
     clock = _ClockSearch.over(match, _clock_range(frames, track, t_span_s), prior, progress)
-    found = _sized(frames, track, _settle(frames, track, clock, prior, places), zero)
+    found = _settle(frames, track, clock, prior, places)
+    if places is None and floor_z_m is not None:
+        floor = _floor_zero(prior, found, _corrected(frames, track, found), floor_z_m)
+        if floor != prior:
+            zero = floor
+            found = _settle(frames, track, clock, floor, None)
+    found = _sized(frames, track, found, zero)
     if progress:
         progress(1.0)
-    return _corrected(frames, track, found)
+    out = _corrected(frames, track, found)
+    if len(out) < len(frames):
+        outside = len(frames) - len(out)
+        warnings.warn(f"{outside} frames outside the track are left out", UllageWarning, stacklevel=2)
+    return out
+
+
+def _floor_zero(prior: _Prior, found: Calibration, frames: Frames, floor_z_m: float) -> _Prior:
+    """Return the prior with the floor as range zero where the floor's echo contradicts the range offset found."""
+    floor = floor_echo(without_own_echo(frames)[0], floor_z_m)
+    if floor is None or abs(floor.long_m) < CONTRADICTION * float(np.hypot(floor.sigma_m, found.range_sigma_m)):
+        return prior
+    range_m = found.range_offset_m - floor.long_m
+    return replace(prior, range_m=range_m, range_sigma_m=floor.sigma_m, zero="the floor's echo")
 
 
 def _check_track(track: Trajectory, where: str) -> None:
@@ -189,14 +217,16 @@ class _Prior:
     span_m: float
     lever_sigma_m: float = 0.0  # of the antenna's place; along the line of sight it moves echoes as range does
     angle_sigma_rad: float = np.pi / 2  # of the boresight
+    zero: str = ""  # what the range is known from
 
     @classmethod
     def of(cls, guess: Guess | None, frames: Frames, span_m: float) -> _Prior:
         """The guess; where it is silent on range, the radar's own zero."""
         zero = frames.spec.range_zero_m if frames.unit == "normalised" else None
         known = (0.0, np.inf) if zero is None else (-zero, frames.spec.range_zero_sigma_m)
+        name = "" if zero is None else "the radar's range_zero_m"
         if guess is None:
-            return cls(None, np.inf, *known, span_m)
+            return cls(None, np.inf, *known, span_m, zero=name)
         if isinstance(guess, Calibration):
             guess = (guess.t_offset_s, guess.t_sigma_s, guess.range_offset_m, guess.range_sigma_m)
         values = [float(value) for value in guess]
@@ -206,7 +236,9 @@ class _Prior:
                 where="calibrate",
                 allowed="(clock, sigma) [s], with (range, sigma) [m] after it or not; sigmas > 0",
             )
-        return cls(values[0], values[1], *(known if len(values) == 2 else (values[2], values[3])), span_m)
+        if len(values) == 4:
+            known, name = (values[2], values[3]), "the guess"
+        return cls(values[0], values[1], *known, span_m, zero=name)
 
     def of_clock(self, offset_s: Floats) -> Floats:
         """Logarithm of the prior density of clock offsets."""
@@ -381,7 +413,7 @@ def _settle(
         float(best.sigma[0]),
         float(best.sigma[1]),
         10 / np.log(10) * best.gain,
-        _method(frames.spec, prior, places, best.points),
+        _method(prior, places, best.points),
         probability,
         modes,
         _thinned(clock.offset_s, clock.log_posterior),
@@ -434,11 +466,10 @@ def _unchecked(frames: Frames, track: Trajectory, best: _Focus) -> str:
     return "; ".join(filter(None, (axes, rate)))
 
 
-def _method(spec: RadarSpec, prior: _Prior, places: Floats | None, points: int) -> str:
+def _method(prior: _Prior, places: Floats | None, points: int) -> str:
     if places is not None:
         return f"motion and {points} surveyed reflectors"
-    zero = " and the radar's range_zero_m" if spec.range_zero_m is not None and np.isfinite(prior.range_sigma_m) else ""
-    return f"motion and coherence of {points} points{zero}"
+    return f"motion and coherence of {points} points" + (f" and {prior.zero}" if prior.zero else "")
 
 
 def _refuse(
@@ -570,8 +601,6 @@ def _surveyed(focus: PointFocus, mode_s: float, prior: _Prior, places: Floats) -
 def _corrected(frames: Frames, track: Trajectory, found: Calibration) -> Frames:
     t_ns = frames.t_ns + round(found.t_offset_s * 1e9)
     inside = (t_ns >= track.t_ns[0]) & (t_ns <= track.t_ns[-1])
-    if not inside.all():
-        warnings.warn(f"{int((~inside).sum())} frames outside the track are left out", UllageWarning, stacklevel=3)
     kept = t_ns[inside]
     truth = None if frames.truth is None else replace(frames.truth[inside], t_ns=kept)
     return replace(
