@@ -39,6 +39,7 @@ Guess = Sequence[float] | Calibration
 
 LEAST_TRACK_M = 0.15
 COARSE_S, FINE_S, MODE_S = 0.1, 0.02, 0.15  # steps of the clock search, and half the width of a mode
+ROUGH_FRAMES, LIKELY = 100, 40  # frames of the first search of the clock, and how many offsets get four times as many
 LEAST_OVERLAP = 0.2  # of the shorter of track and recording
 DISPERSION = 20.0  # of the motion likelihood, until it has been estimated
 POINT_DISPERSION = 5.0  # of the points' likelihood: side lobes and noise of neighbouring positions depend on each other
@@ -48,7 +49,7 @@ RATE_SIGMA, SCALE_SIGMA = 5e-5, 1e-3  # of the radar's clock rate, and of the me
 SURVEY_S = 0.15  # search for surveyed places around the clock offset from motion [s]
 LEAST_PER_SAMPLE = 1.2  # the same per independent sample, on tracks so long that chance finds more
 LOCAL_M = 0.5  # half the part of the track from which scatterers are fitted first
-CLOCK_HALF_S, RANGE_STEP_M, REDRAWN_M = 0.08, 0.06, 0.2
+DRAWN_S, RANGE_STEP_M, REDRAWN_M = 0.06, 0.06, 0.2
 TAIL, TAIL_M = 1e-5, 0.5  # share and width of the range prior's tail: cables get exchanged
 MOST_SPEED_M_S = 50.0
 CONTRADICTION = 3.0  # standard deviations between the floor's echo and the range offset
@@ -333,24 +334,18 @@ class _ClockSearch:
     def over(
         cls, match: MotionMatch, span: tuple[float, float], prior: _Prior, progress: Progress | None
     ) -> _ClockSearch:
-        """Evaluate all of the span coarsely, then the best candidates finely."""
-        coarse = np.arange(span[0], span[1] + COARSE_S, COARSE_S)
-        targets = int(np.clip(160_000 / len(coarse), 100, 400))
+        """Evaluate all of the span on few frames, the best of it on more, and the best candidates finely."""
+        offset = np.arange(span[0], span[1] + COARSE_S, COARSE_S)
         share = None if progress is None else lambda done: progress(0.7 * done)
-        rough = match.scan(coarse, targets=targets, progress=share)
-        scale = len(match.t_s) / min(targets, len(match.t_s))
-        order = _peaks(coarse, scale * rough / DISPERSION + prior.of_clock(coarse), apart_s=2.5 * COARSE_S)[:4]
+        value = _scan(match, offset, ROUGH_FRAMES, share)
+        likely = np.sort(np.argsort(-(value / DISPERSION + prior.of_clock(offset)))[:LIKELY])
+        offset, value = _refined(offset, value, offset[likely], _scan(match, offset[likely], 4 * ROUGH_FRAMES))
+        order = _peaks(offset, value / DISPERSION + prior.of_clock(offset), apart_s=2.5 * COARSE_S)[:4]
         fine = np.unique(np.concatenate([one + FINE_S * np.arange(-7, 8) for one in order]).round(6))
-        exact = match.scan(fine, targets=800)
-        scale_fine = len(match.t_s) / min(800, len(match.t_s))
-        best = float(fine[np.argmax(exact)])
-        dispersion = float(np.clip(match.dispersion(best), DISPERSION / 4, 4 * DISPERSION))
-        ratio = np.median(exact * scale_fine - np.interp(fine, coarse, rough * scale))
-        kept = np.min(np.abs(coarse[:, None] - fine), axis=1) > FINE_S
-        offset = np.concatenate([coarse[kept], fine])
-        value = np.concatenate([(scale * rough + ratio)[kept], scale_fine * exact]) / dispersion
-        rising = np.argsort(offset)
-        offset, value = offset[rising], (value + prior.of_clock(offset))[rising]
+        exact = _scan(match, fine, 8 * ROUGH_FRAMES)
+        dispersion = match.dispersion(float(fine[np.argmax(exact)]))
+        offset, value = _refined(offset, value, fine, exact)
+        value = value / float(np.clip(dispersion, DISPERSION / 4, 4 * DISPERSION)) + prior.of_clock(offset)
         return cls(match, offset, value - value.max(), _peaks(offset, value, apart_s=2 * MODE_S))
 
     def mass(self, mode_s: float) -> float:
@@ -359,6 +354,20 @@ class _ClockSearch:
         step = np.gradient(self.offset_s)
         near = np.abs(self.offset_s - mode_s) <= MODE_S
         return float((density * step)[near].sum() / (density * step).sum())
+
+
+def _scan(match: MotionMatch, offset_s: Floats, frames: int, progress: Progress | None = None) -> Floats:
+    """Log-likelihood (k) of clock offsets from so many frames, as if from all."""
+    return match.scan(offset_s, targets=frames, progress=progress) * max(1.0, len(match.t_s) / frames)
+
+
+def _refined(offset: Floats, value: Floats, finer: Floats, better: Floats) -> tuple[Floats, Floats]:
+    """Values at rising offsets, with better ones near some of these; the others are shifted to agree with them."""
+    shift = np.median(better - np.interp(finer, offset, value))
+    kept = np.min(np.abs(offset[:, None] - finer), axis=1) > FINE_S
+    offset, value = np.concatenate([offset[kept], finer]), np.concatenate([(value + shift)[kept], better])
+    rising = np.argsort(offset)
+    return offset[rising], value[rising]
 
 
 def _peaks(offset: Floats, value: Floats, *, apart_s: float) -> list[float]:
@@ -522,20 +531,32 @@ def _focus(frames: Frames, track: Trajectory, mode_s: float, prior: _Prior, plac
 
 
 def _searched(focus: PointFocus, mode_s: float, prior: _Prior) -> tuple[list[Start], float, float]:
-    """Scatterers of different echoes, and the clock and range offsets at which they are most coherent, on a grid."""
-    clock_s, centre = mode_s, prior.centre_m
-    ranges, clocks = prior.ranges(), mode_s + CLOCK_HALF_S * np.linspace(-1, 1, 9)
-    kept: list[Start] = []
-    for _ in range(2):  # once more where the scatterers were drawn far from where they focus
-        starts = focus.starts(clock_s, centre)
-        kept = [starts[k] for k in focus.distinct(focus.drawn(starts, clock_s, centre), clock_s)]
+    """Scatterers of different echoes, and the clock and range offsets at which they are most coherent, on a grid.
+
+    Scatterers that were drawn at a wrong clock favour it. So they are drawn at several, and others than those of the
+    clock from motion are kept if they are decisively more coherent.
+    """
+    range_m, ranges = prior.centre_m, prior.ranges()
+    drawn = [(_drawn(focus, t, range_m), t) for t in mode_s + DRAWN_S * np.array([0, -2, -1, 1, 2])]
+    value = np.array([_total(focus.drawn(*one, range_m)) for one in drawn])
+    kept, clock_s = drawn[int(value.argmax()) if value.max() > value[0] + DECISIVE else 0]
+    for _ in range(2):  # once more where they were drawn far from where they focus
         value = prior.of_range(ranges, prior.spread_m) + [_total(focus.drawn(kept, clock_s, float(r))) for r in ranges]
         best_m = float(ranges[np.argmax(value)])
-        if abs(best_m - centre) < REDRAWN_M:
+        clocks = clock_s + FINE_S * np.arange(-4.0, 5.0)
+        best_s = float(clocks[np.argmax([_total(focus.drawn(kept, float(t), best_m)) for t in clocks])])
+        near = abs(best_m - range_m) < REDRAWN_M and abs(best_s - clock_s) < DRAWN_S / 2
+        clock_s, range_m = best_s, best_m
+        if near:
             break
-        centre = best_m
-    by_clock = [_total(focus.drawn(kept, float(t), best_m)) for t in clocks]
-    return kept, float(clocks[np.argmax(by_clock)]), best_m
+        kept = _drawn(focus, clock_s, range_m)
+    return kept, clock_s, range_m
+
+
+def _drawn(focus: PointFocus, clock_s: float, range_m: float) -> list[Start]:
+    """Scatterers of different echoes that focus under these offsets."""
+    starts = focus.starts(clock_s, range_m)
+    return [starts[k] for k in focus.distinct(focus.drawn(starts, clock_s, range_m), clock_s)]
 
 
 def _local(focus: PointFocus, point: Point, start: Start) -> Point:
