@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from studies.tables.calibrate_offsets import recording
 
+from studies.tables.calibrate_offsets import recording
 from ullage.processing.calibrate import _focus, _Prior
 
 
