@@ -11,6 +11,7 @@ import pytest
 import ullage as ul
 from ullage.data import Calibration
 from ullage.processing.baseband import as_baseband, to_baseband
+from ullage.processing.calibrate import _floor_zero, _Prior
 from ullage.processing.floor import floor_echo
 from ullage.processing.own_echo import without_own_echo
 from ullage.processing.scatterers import Scatterer, find_scatterers, with_scatterers
@@ -155,6 +156,20 @@ def test_the_floor_shows_an_error_of_the_range_axis(long_m: float) -> None:
     assert floor_echo(rf_frames(position, [], noise=0.5)) is None
     level = position * [1, 1, 0] + [0, 0, 1.5]
     assert floor_echo(rf_frames(level, [level[:, 2]])) is None
+
+
+@pytest.mark.parametrize("long_m", [-0.15, 0.0, 0.2])
+def test_a_floor_that_contradicts_the_range_offset_becomes_its_zero(long_m: float) -> None:
+    position = curved()
+    frames = rf_frames(position, [position[:, 2] + long_m], noise=0.5)
+    known, found = _Prior.of(None, frames, 1.0), Calibration(0.0, -0.45, 0.01, 0.02, 1.0)
+    prior = _floor_zero(known, found, frames, 0.0)
+    if long_m:
+        assert abs(prior.range_m - (-0.45 - long_m)) < 0.04
+        assert prior.range_sigma_m < 0.1
+        assert "floor" in prior.zero
+    else:
+        assert prior == known
 
 
 def to_nearest(omap: ul.OccupancyMap, places: np.ndarray) -> float:

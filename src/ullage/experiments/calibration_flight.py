@@ -13,7 +13,7 @@ from ullage.errors import InputError
 from ullage.flight.missions import Waypoints
 from ullage.flight.vehicle import fly
 from ullage.ports.registry import open as open_source
-from ullage.ports.tracked import TRACK_FILES, read_radar_track
+from ullage.ports.tracked import TRACK_FILES, RailSource, read_radar_track
 from ullage.ports.tracks import read_survey
 from ullage.processing.calibrate import calibrate
 from ullage.processing.calibration_plan import CalibrationPlan, plan_calibration, quantities
@@ -158,7 +158,11 @@ def found_in(source: str, reflectors: Path | None) -> dict[str, Calibration]:
         InputError: it cannot be read, or has no track.
     """
     places = None if reflectors is None else read_survey(reflectors).places
-    each = {one.sensor: calibrate(one, reflectors=places) for one in sensors_of(open_source(source).frames())}
+    recording = open_source(source)
+    floor_z_m = recording.floor_z_m if isinstance(recording, RailSource) else None
+    each = {
+        one.sensor: calibrate(one, reflectors=places, floor_z_m=floor_z_m) for one in sensors_of(recording.frames())
+    }
     return {name: frames.calibration for name, frames in each.items() if frames.calibration is not None}
 
 

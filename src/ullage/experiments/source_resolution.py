@@ -27,7 +27,6 @@ from ullage.ports.live import LISTED, Address
 from ullage.ports.registry import SOURCES, reads
 from ullage.ports.registry import open as open_source
 from ullage.ports.tracked import RailSource
-from ullage.processing.own_echo import without_own_echo
 from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -37,8 +36,6 @@ if TYPE_CHECKING:
 NOWHERE = RunFolder(Path(os.devnull))
 """Place of a run until its folder is begun; nothing can be written there."""
 VEHICLE_M = 0.3  # assumed radius of a real radar's carrier, without a setting [m]
-CONTRADICTION = 3.0  # standard deviations between the floor's echo and a calibrated range axis
-FLOOR_CLOCK_S = 0.2  # sigma of the first clock offset where the range is calibrated again [s]
 
 
 def make_run(
@@ -478,34 +475,17 @@ def _controls(by: str, scenario: Scenario, log: Callable[[str], None]) -> Contro
 
 
 def _calibrated(part: Frames, report: Callable[[str], None], floor_z_m: float | None, places: Floats | None) -> Frames:
-    """Calibrate clock and zero range of one sensor against the track, by surveyed reflectors where there are any.
-
-    Without them, where the floor's echo contradicts the range offset, calibrate once more with the floor as prior.
-    """
+    """Calibrate clock and zero range of one sensor against the track, by surveyed reflectors where there are any."""
     from ullage.processing.calibrate import calibrate
-    from ullage.processing.floor import floor_echo
 
-    def found_with(**known: Any) -> Frames:
-        out = calibrate(part, progress=_every_tenth(report), **known)
-        if (found := out.calibration) is not None:
-            report(
-                f"{out.sensor}: clock {found.t_offset_s:+.4f} s (sigma {found.t_sigma_s:.4f}), "
-                f"range {found.range_offset_m:+.4f} m (sigma {found.range_sigma_m:.4f}), "
-                f"probability {found.probability:.3f}"
-            )
-        return out
-
-    out = found_with(reflectors=places)
-    floor = None if floor_z_m is None else floor_echo(without_own_echo(out)[0], floor_z_m)
-    found = out.calibration
-    if floor is None or found is None:
-        return out
-    report(f"{part.sensor}: the floor's echo reads {floor.long_m:+.2f} m from the height flown")
-    if places is not None or abs(floor.long_m) < CONTRADICTION * float(np.hypot(floor.sigma_m, found.range_sigma_m)):
-        return out
-    report("calibrating again with the floor as the range's zero")
-    range_m = found.range_offset_m - floor.long_m
-    return found_with(guess=(found.t_offset_s, FLOOR_CLOCK_S, range_m, floor.sigma_m))
+    out = calibrate(part, reflectors=places, floor_z_m=floor_z_m, progress=_every_tenth(report))
+    if (found := out.calibration) is not None:
+        report(
+            f"{out.sensor}: clock {found.t_offset_s:+.4f} s (sigma {found.t_sigma_s:.4f}), "
+            f"range {found.range_offset_m:+.4f} m (sigma {found.range_sigma_m:.4f}), "
+            f"probability {found.probability:.3f}, from {found.method}"
+        )
+    return out
 
 
 def _every_tenth(log: Callable[[str], None]) -> Callable[[float], None]:

@@ -1,4 +1,8 @@
-"""Time-domain back-projection: per row of cells and frame, first the geometry of all cells, then their echoes."""
+"""Time-domain back-projection: per row of cells and frame, first the geometry of all cells, then their echoes.
+
+LLVM runs a loop in vectors only over contiguous arrays from index 0, and if few pairs of them might overlap. So rows
+are cut to their cells first, and a loop writes to at most four arrays, or to one where it reads five.
+"""
 
 from __future__ import annotations
 
@@ -55,8 +59,7 @@ class Pattern(NamedTuple):
 class _Aimed(NamedTuple):
     """Scratch: what the cells of one row see of one frame, each (nx)."""
 
-    place: NDArray[np.int32]  # sample before the cell
-    near: NDArray[np.float32]  # share of the way to the next sample, 0 to 1
+    place: NDArray[np.float32]  # of the cell [samples]
     cos: NDArray[np.float32]  # of the carrier phase
     sin: NDArray[np.float32]
     weight: NDArray[np.float32]  # of the pattern
@@ -110,7 +113,6 @@ def _aim(
         The first cell with results, and the one after the last.
     """
     gx, gy, gz = offset
-    place, near, cos, sin, weight = aimed
     one, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
     flat = np.float32(gy * gy + gz * gz + 1e-12)
     ax, bx, cx = np.float32(turn[0, 0]), np.float32(turn[0, 1]), np.float32(turn[0, 2])
@@ -120,11 +122,13 @@ def _aim(
     per_m, first, turns = profiles.per_m, profiles.first, profiles.cycles_per_m
     iy, iz, least = pattern.inv_y2, pattern.inv_z2, pattern.least
     everywhere = iy == zero and iz == zero
-    begin, end = _seen(gx, step, flat, (last + first) / per_m, len(place))
+    begin, end = _seen(gx, step, flat, (last + first) / per_m, len(aimed.place))
     if not everywhere:
         begin, end = _ahead(gx, step, ax, a0, begin, end)
-    for i in range(begin, end):
-        x = gx + np.float32(i) * step
+    place, weight = aimed.place[begin:end], aimed.weight[begin:end]
+    cos, sin = aimed.cos[begin:end], aimed.sin[begin:end]
+    for i in range(end - begin):
+        x = gx + np.float32(begin + i) * step
         d2 = x * x + flat
         r = np.sqrt(d2)
         b, c = bx * x + b0, cx * x + c0
@@ -136,13 +140,10 @@ def _aim(
         w = w if w >= least else zero
         w = w if u >= zero else zero
         w = w if u <= last else zero
-        u = min(max(u, zero), last)
-        j = np.int32(u)
         t = r * turns
         t = t - np.floor(t + half)
         t2 = t * t
-        place[i] = j
-        near[i] = u - np.float32(j)
+        place[i] = min(max(u, zero), last)
         sin[i] = t * (_S1 + t2 * (_S3 + t2 * (_S5 + t2 * (_S7 + t2 * _S9))))
         cos[i] = _C0 + t2 * (_C2 + t2 * (_C4 + t2 * (_C6 + t2 * _C8)))
         weight[i] = w
@@ -161,8 +162,9 @@ def backproject_rows(rows: Rows, profiles: Profiles, track: Track, pattern: Patt
         sums: (k, 5, nx) float32: real, imaginary, weighted power, weight, weight^2; added to.
     """
     nx, position, weight = sums.shape[2], track.position, track.weight
-    near, cos, sin, share = np.empty((4, nx), np.float32)
-    aimed = _Aimed(np.empty(nx, np.int32), near, cos, sin, share)
+    place, cos, sin = np.empty(nx, np.float32), np.empty(nx, np.float32), np.empty(nx, np.float32)
+    share, real, imag = np.empty(nx, np.float32), np.empty(nx, np.float32), np.empty(nx, np.float32)
+    aimed = _Aimed(place, cos, sin, share)
     last, step = np.float32(profiles.real.shape[1] - 1.001), np.float32(rows.step)
     for k in range(len(rows.y)):
         total = sums[k]
@@ -170,15 +172,47 @@ def backproject_rows(rows: Rows, profiles: Profiles, track: Track, pattern: Patt
             gx = np.float32(rows.x0 - position[n, 0])
             offset = gx, rows.y[k] - position[n, 1], rows.z[k] - position[n, 2]
             begin, end = _aim(offset, step, track.rotation[n], profiles, pattern, last, aimed)
-            row_re, row_im = profiles.real[n], profiles.imag[n]
-            for i in range(begin, end):
-                w = aimed.weight[i] * weight[n]
-                if w > np.float32(0.0):
-                    j, f = aimed.place[i], near[i]
-                    vr = row_re[j] + f * (row_re[j + 1] - row_re[j])
-                    vi = row_im[j] + f * (row_im[j + 1] - row_im[j])
-                    total[0, i] += w * (vr * cos[i] - vi * sin[i])
-                    total[1, i] += w * (vr * sin[i] + vi * cos[i])
-                    total[2, i] += w * (vr * vr + vi * vi)
-                    total[3, i] += w
-                    total[4, i] += w * w
+            _interpolate(profiles.real[n], profiles.imag[n], place[begin:end], real[begin:end], imag[begin:end])
+            _weigh(share[begin:end], weight[n])
+            seen = share[begin:end], real[begin:end], imag[begin:end]
+            _add_turned(total[0][begin:end], seen, cos[begin:end], sin[begin:end], np.float32(-1))
+            _add_turned(total[1][begin:end], seen, sin[begin:end], cos[begin:end], np.float32(1))
+            _add_power(total[2][begin:end], seen)
+            _add_weights(total[3][begin:end], total[4][begin:end], share[begin:end])
+
+
+@inner(fastmath=True, error_model="numpy")
+def _interpolate(row_re: Singles, row_im: Singles, place: Singles, real: Singles, imag: Singles) -> None:
+    """Read a profile between its samples."""
+    for i in range(len(place)):
+        j = np.uint32(place[i])
+        near = place[i] - np.float32(j)
+        real[i] = row_re[j] + near * (row_re[j + 1] - row_re[j])
+        imag[i] = row_im[j] + near * (row_im[j + 1] - row_im[j])
+
+
+@inner(fastmath=True, error_model="numpy")
+def _weigh(weight: Singles, factor: float) -> None:
+    for i in range(len(weight)):
+        weight[i] *= factor
+
+
+@inner(fastmath=True, error_model="numpy")
+def _add_turned(total: Singles, seen: tuple[Singles, ...], by: Singles, across: Singles, sign: float) -> None:
+    weight, real, imag = seen
+    for i in range(len(weight)):
+        total[i] += weight[i] * (real[i] * by[i] + sign * imag[i] * across[i])
+
+
+@inner(fastmath=True, error_model="numpy")
+def _add_power(total: Singles, seen: tuple[Singles, ...]) -> None:
+    weight, real, imag = seen
+    for i in range(len(weight)):
+        total[i] += weight[i] * (real[i] * real[i] + imag[i] * imag[i])
+
+
+@inner(fastmath=True, error_model="numpy")
+def _add_weights(total: Singles, square: Singles, weight: Singles) -> None:
+    for i in range(len(weight)):
+        total[i] += weight[i]
+        square[i] += weight[i] * weight[i]

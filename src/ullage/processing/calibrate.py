@@ -16,7 +16,9 @@ from ullage.errors import CalibrationError, InputError, UllageWarning
 from ullage.geometry import quat_matrix
 from ullage.processing.baseband import checked
 from ullage.processing.bundle import Bundle, adjusted, held
+from ullage.processing.floor import floor_echo
 from ullage.processing.motion_match import Gains, MotionMatch
+from ullage.processing.own_echo import without_own_echo
 from ullage.processing.point_focus import (
     ARM,
     BORESIGHT,
@@ -30,13 +32,14 @@ from ullage.processing.point_focus import (
     Start,
 )
 from ullage.processing.track_check import DECISIVE, LEAST_PROBABILITY, track_axes, track_scale
-from ullage.specs import MountSpec, RadarSpec
+from ullage.specs import MountSpec
 
 Progress = Callable[[float], None]
 Guess = Sequence[float] | Calibration
 
 LEAST_TRACK_M = 0.15
 COARSE_S, FINE_S, MODE_S = 0.1, 0.02, 0.15  # steps of the clock search, and half the width of a mode
+ROUGH_FRAMES, LIKELY = 100, 40  # frames of the first search of the clock, and how many offsets get four times as many
 LEAST_OVERLAP = 0.2  # of the shorter of track and recording
 DISPERSION = 20.0  # of the motion likelihood, until it has been estimated
 POINT_DISPERSION = 5.0  # of the points' likelihood: side lobes and noise of neighbouring positions depend on each other
@@ -46,9 +49,10 @@ RATE_SIGMA, SCALE_SIGMA = 5e-5, 1e-3  # of the radar's clock rate, and of the me
 SURVEY_S = 0.15  # search for surveyed places around the clock offset from motion [s]
 LEAST_PER_SAMPLE = 1.2  # the same per independent sample, on tracks so long that chance finds more
 LOCAL_M = 0.5  # half the part of the track from which scatterers are fitted first
-CLOCK_HALF_S, RANGE_STEP_M, REDRAWN_M = 0.08, 0.06, 0.2
+DRAWN_S, RANGE_STEP_M, REDRAWN_M = 0.06, 0.06, 0.2
 TAIL, TAIL_M = 1e-5, 0.5  # share and width of the range prior's tail: cables get exchanged
 MOST_SPEED_M_S = 50.0
+CONTRADICTION = 3.0  # standard deviations between the floor's echo and the range offset
 LEAST_GAIN = 200.0  # of the three most coherent points: 227 to 545 on real recordings, 175 with the track of another
 
 
@@ -61,6 +65,7 @@ def calibrate(
     range_span_m: float = ...,
     reflectors: ArrayLike | None = ...,
     lever_arm_sigma_m: float | None = ...,
+    floor_z_m: float | None = ...,
     progress: Progress | None = ...,
 ) -> Frames: ...
 @overload
@@ -72,6 +77,7 @@ def calibrate(
     range_span_m: float = ...,
     reflectors: ArrayLike | None = ...,
     lever_arm_sigma_m: float | None = ...,
+    floor_z_m: float | None = ...,
     progress: Progress | None = ...,
 ) -> dict[str, Frames]: ...
 
@@ -84,6 +90,7 @@ def calibrate(
     range_span_m: float = 1.0,
     reflectors: ArrayLike | None = None,
     lever_arm_sigma_m: float | None = None,
+    floor_z_m: float | None = None,
     progress: Progress | None = None,
 ) -> Frames | dict[str, Frames]:
     """Put frames on the track's clock and correct their range axis; refuse where the recording does not decide.
@@ -105,6 +112,8 @@ def calibrate(
         reflectors: (r, 3) surveyed places of reflectors, world [m]; these alone then settle clock and range.
         lever_arm_sigma_m: how far the antenna may be from where the mount puts it, one sigma of each axis [m]; None:
             as the mount says, and 0.05 m where it sets no place.
+        floor_z_m: height of a level floor [m]. Where its echo contradicts the range offset, the floor becomes the range
+            zero. Not used with `reflectors`.
         progress: called with the share of the work done.
 
     Raises:
@@ -121,6 +130,7 @@ def calibrate(
                 range_span_m=range_span_m,
                 reflectors=reflectors,
                 lever_arm_sigma_m=lever_arm_sigma_m,
+                floor_z_m=floor_z_m,
                 progress=progress,
             )
             for name, part in frames.items()
@@ -143,10 +153,29 @@ def calibrate(
         prior = replace(prior, range_m=0.0, range_sigma_m=np.inf)  # the survey takes the place of the radar's own zero
     match = MotionMatch(checked(frames), track)
     clock = _ClockSearch.over(match, _clock_range(frames, track, t_span_s), prior, progress)
-    found = _sized(frames, track, _settle(frames, track, clock, prior, places), zero)
+    found = _settle(frames, track, clock, prior, places)
+    if places is None and floor_z_m is not None:
+        floor = _floor_zero(prior, found, _corrected(frames, track, found), floor_z_m)
+        if floor != prior:
+            zero = floor
+            found = _settle(frames, track, clock, floor, None)
+    found = _sized(frames, track, found, zero)
     if progress:
         progress(1.0)
-    return _corrected(frames, track, found)
+    out = _corrected(frames, track, found)
+    if len(out) < len(frames):
+        outside = len(frames) - len(out)
+        warnings.warn(f"{outside} frames outside the track are left out", UllageWarning, stacklevel=2)
+    return out
+
+
+def _floor_zero(prior: _Prior, found: Calibration, frames: Frames, floor_z_m: float) -> _Prior:
+    """Return the prior with the floor as range zero where the floor's echo contradicts the range offset found."""
+    floor = floor_echo(without_own_echo(frames)[0], floor_z_m)
+    if floor is None or abs(floor.long_m) < CONTRADICTION * float(np.hypot(floor.sigma_m, found.range_sigma_m)):
+        return prior
+    range_m = found.range_offset_m - floor.long_m
+    return replace(prior, range_m=range_m, range_sigma_m=floor.sigma_m, zero="the floor's echo")
 
 
 def _check_track(track: Trajectory, where: str) -> None:
@@ -189,14 +218,16 @@ class _Prior:
     span_m: float
     lever_sigma_m: float = 0.0  # of the antenna's place; along the line of sight it moves echoes as range does
     angle_sigma_rad: float = np.pi / 2  # of the boresight
+    zero: str = ""  # what the range is known from
 
     @classmethod
     def of(cls, guess: Guess | None, frames: Frames, span_m: float) -> _Prior:
         """The guess; where it is silent on range, the radar's own zero."""
         zero = frames.spec.range_zero_m if frames.unit == "normalised" else None
         known = (0.0, np.inf) if zero is None else (-zero, frames.spec.range_zero_sigma_m)
+        name = "" if zero is None else "the radar's range_zero_m"
         if guess is None:
-            return cls(None, np.inf, *known, span_m)
+            return cls(None, np.inf, *known, span_m, zero=name)
         if isinstance(guess, Calibration):
             guess = (guess.t_offset_s, guess.t_sigma_s, guess.range_offset_m, guess.range_sigma_m)
         values = [float(value) for value in guess]
@@ -206,7 +237,9 @@ class _Prior:
                 where="calibrate",
                 allowed="(clock, sigma) [s], with (range, sigma) [m] after it or not; sigmas > 0",
             )
-        return cls(values[0], values[1], *(known if len(values) == 2 else (values[2], values[3])), span_m)
+        if len(values) == 4:
+            known, name = (values[2], values[3]), "the guess"
+        return cls(values[0], values[1], *known, span_m, zero=name)
 
     def of_clock(self, offset_s: Floats) -> Floats:
         """Logarithm of the prior density of clock offsets."""
@@ -301,24 +334,18 @@ class _ClockSearch:
     def over(
         cls, match: MotionMatch, span: tuple[float, float], prior: _Prior, progress: Progress | None
     ) -> _ClockSearch:
-        """Evaluate all of the span coarsely, then the best candidates finely."""
-        coarse = np.arange(span[0], span[1] + COARSE_S, COARSE_S)
-        targets = int(np.clip(160_000 / len(coarse), 100, 400))
+        """Evaluate all of the span on few frames, the best of it on more, and the best candidates finely."""
+        offset = np.arange(span[0], span[1] + COARSE_S, COARSE_S)
         share = None if progress is None else lambda done: progress(0.7 * done)
-        rough = match.scan(coarse, targets=targets, progress=share)
-        scale = len(match.t_s) / min(targets, len(match.t_s))
-        order = _peaks(coarse, scale * rough / DISPERSION + prior.of_clock(coarse), apart_s=2.5 * COARSE_S)[:4]
+        value = _scan(match, offset, ROUGH_FRAMES, share)
+        likely = np.sort(np.argsort(-(value / DISPERSION + prior.of_clock(offset)))[:LIKELY])
+        offset, value = _refined(offset, value, offset[likely], _scan(match, offset[likely], 4 * ROUGH_FRAMES))
+        order = _peaks(offset, value / DISPERSION + prior.of_clock(offset), apart_s=2.5 * COARSE_S)[:4]
         fine = np.unique(np.concatenate([one + FINE_S * np.arange(-7, 8) for one in order]).round(6))
-        exact = match.scan(fine, targets=800)
-        scale_fine = len(match.t_s) / min(800, len(match.t_s))
-        best = float(fine[np.argmax(exact)])
-        dispersion = float(np.clip(match.dispersion(best), DISPERSION / 4, 4 * DISPERSION))
-        ratio = np.median(exact * scale_fine - np.interp(fine, coarse, rough * scale))
-        kept = np.min(np.abs(coarse[:, None] - fine), axis=1) > FINE_S
-        offset = np.concatenate([coarse[kept], fine])
-        value = np.concatenate([(scale * rough + ratio)[kept], scale_fine * exact]) / dispersion
-        rising = np.argsort(offset)
-        offset, value = offset[rising], (value + prior.of_clock(offset))[rising]
+        exact = _scan(match, fine, 8 * ROUGH_FRAMES)
+        dispersion = match.dispersion(float(fine[np.argmax(exact)]))
+        offset, value = _refined(offset, value, fine, exact)
+        value = value / float(np.clip(dispersion, DISPERSION / 4, 4 * DISPERSION)) + prior.of_clock(offset)
         return cls(match, offset, value - value.max(), _peaks(offset, value, apart_s=2 * MODE_S))
 
     def mass(self, mode_s: float) -> float:
@@ -327,6 +354,20 @@ class _ClockSearch:
         step = np.gradient(self.offset_s)
         near = np.abs(self.offset_s - mode_s) <= MODE_S
         return float((density * step)[near].sum() / (density * step).sum())
+
+
+def _scan(match: MotionMatch, offset_s: Floats, frames: int, progress: Progress | None = None) -> Floats:
+    """Log-likelihood (k) of clock offsets from so many frames, as if from all."""
+    return match.scan(offset_s, targets=frames, progress=progress) * max(1.0, len(match.t_s) / frames)
+
+
+def _refined(offset: Floats, value: Floats, finer: Floats, better: Floats) -> tuple[Floats, Floats]:
+    """Values at rising offsets, with better ones near some of these; the others are shifted to agree with them."""
+    shift = np.median(better - np.interp(finer, offset, value))
+    kept = np.min(np.abs(offset[:, None] - finer), axis=1) > FINE_S
+    offset, value = np.concatenate([offset[kept], finer]), np.concatenate([(value + shift)[kept], better])
+    rising = np.argsort(offset)
+    return offset[rising], value[rising]
 
 
 def _peaks(offset: Floats, value: Floats, *, apart_s: float) -> list[float]:
@@ -381,7 +422,7 @@ def _settle(
         float(best.sigma[0]),
         float(best.sigma[1]),
         10 / np.log(10) * best.gain,
-        _method(frames.spec, prior, places, best.points),
+        _method(prior, places, best.points),
         probability,
         modes,
         _thinned(clock.offset_s, clock.log_posterior),
@@ -434,11 +475,10 @@ def _unchecked(frames: Frames, track: Trajectory, best: _Focus) -> str:
     return "; ".join(filter(None, (axes, rate)))
 
 
-def _method(spec: RadarSpec, prior: _Prior, places: Floats | None, points: int) -> str:
+def _method(prior: _Prior, places: Floats | None, points: int) -> str:
     if places is not None:
         return f"motion and {points} surveyed reflectors"
-    zero = " and the radar's range_zero_m" if spec.range_zero_m is not None and np.isfinite(prior.range_sigma_m) else ""
-    return f"motion and coherence of {points} points{zero}"
+    return f"motion and coherence of {points} points" + (f" and {prior.zero}" if prior.zero else "")
 
 
 def _refuse(
@@ -491,20 +531,32 @@ def _focus(frames: Frames, track: Trajectory, mode_s: float, prior: _Prior, plac
 
 
 def _searched(focus: PointFocus, mode_s: float, prior: _Prior) -> tuple[list[Start], float, float]:
-    """Scatterers of different echoes, and the clock and range offsets at which they are most coherent, on a grid."""
-    clock_s, centre = mode_s, prior.centre_m
-    ranges, clocks = prior.ranges(), mode_s + CLOCK_HALF_S * np.linspace(-1, 1, 9)
-    kept: list[Start] = []
-    for _ in range(2):  # once more where the scatterers were drawn far from where they focus
-        starts = focus.starts(clock_s, centre)
-        kept = [starts[k] for k in focus.distinct(focus.drawn(starts, clock_s, centre), clock_s)]
+    """Scatterers of different echoes, and the clock and range offsets at which they are most coherent, on a grid.
+
+    Scatterers that were drawn at a wrong clock favour it. So they are drawn at several, and others than those of the
+    clock from motion are kept if they are decisively more coherent.
+    """
+    range_m, ranges = prior.centre_m, prior.ranges()
+    drawn = [(_drawn(focus, t, range_m), t) for t in mode_s + DRAWN_S * np.array([0, -2, -1, 1, 2])]
+    value = np.array([_total(focus.drawn(*one, range_m)) for one in drawn])
+    kept, clock_s = drawn[int(value.argmax()) if value.max() > value[0] + DECISIVE else 0]
+    for _ in range(2):  # once more where they were drawn far from where they focus
         value = prior.of_range(ranges, prior.spread_m) + [_total(focus.drawn(kept, clock_s, float(r))) for r in ranges]
         best_m = float(ranges[np.argmax(value)])
-        if abs(best_m - centre) < REDRAWN_M:
+        clocks = clock_s + FINE_S * np.arange(-4.0, 5.0)
+        best_s = float(clocks[np.argmax([_total(focus.drawn(kept, float(t), best_m)) for t in clocks])])
+        near = abs(best_m - range_m) < REDRAWN_M and abs(best_s - clock_s) < DRAWN_S / 2
+        clock_s, range_m = best_s, best_m
+        if near:
             break
-        centre = best_m
-    by_clock = [_total(focus.drawn(kept, float(t), best_m)) for t in clocks]
-    return kept, float(clocks[np.argmax(by_clock)]), best_m
+        kept = _drawn(focus, clock_s, range_m)
+    return kept, clock_s, range_m
+
+
+def _drawn(focus: PointFocus, clock_s: float, range_m: float) -> list[Start]:
+    """Scatterers of different echoes that focus under these offsets."""
+    starts = focus.starts(clock_s, range_m)
+    return [starts[k] for k in focus.distinct(focus.drawn(starts, clock_s, range_m), clock_s)]
 
 
 def _local(focus: PointFocus, point: Point, start: Start) -> Point:
@@ -570,8 +622,6 @@ def _surveyed(focus: PointFocus, mode_s: float, prior: _Prior, places: Floats) -
 def _corrected(frames: Frames, track: Trajectory, found: Calibration) -> Frames:
     t_ns = frames.t_ns + round(found.t_offset_s * 1e9)
     inside = (t_ns >= track.t_ns[0]) & (t_ns <= track.t_ns[-1])
-    if not inside.all():
-        warnings.warn(f"{int((~inside).sum())} frames outside the track are left out", UllageWarning, stacklevel=3)
     kept = t_ns[inside]
     truth = None if frames.truth is None else replace(frames.truth[inside], t_ns=kept)
     return replace(
