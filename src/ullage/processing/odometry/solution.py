@@ -422,7 +422,8 @@ class Solution:
         noise = np.array([[(radar.wave_m * self.spec.phase_sigma_rad) ** 2]])
         block = state.append(Block(), row, noise)
         phase = float(found.phase[pair.index] + fresh.range_m / radar.wave_m)
-        pair.surface.arcs[pair.name] = _Arc(block, phase, t_ns, float(found.range_m[pair.index] - fresh.range_m), chance)
+        beside_m = float(found.range_m[pair.index] - fresh.range_m)
+        pair.surface.arcs[pair.name] = _Arc(block, phase, t_ns, beside_m, chance)
 
     def _learn(self, state: Filter, name: str, found: EchoList, taken: set[int], t_ns: int) -> None:
         """Follow the echoes that no surface explains, and make surfaces of those whose direction is known."""
