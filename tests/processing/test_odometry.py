@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.processing.odometry import solution
+from ullage.processing.odometry.echo_list import EchoList
+from ullage.processing.odometry.inertial import Block
 from ullage.processing.odometry.jets import UP, Jet
 from ullage.processing.odometry.odometry import bounded
 from ullage.processing.odometry.solution import PoseEstimate
@@ -101,6 +104,43 @@ def test_the_bound_takes_the_solution_that_is_farthest_away() -> None:
     assert np.allclose(found.covariance, np.diag(found.sigma**2))
     assert not found.lost
     assert "without back" in bounded(whole, {"front": near, "back": far}, 0.3).lost
+
+
+def test_phases_that_fit_make_an_association_sure_and_those_of_another_echo_end_it() -> None:
+    turn_m, sigma = 0.02, 0.001
+    arc = solution._Arc(Block(), 0.0, 0, 0.0, 0.5)
+    arc.weigh(0.0, sigma, turn_m, share=0.0)
+    assert arc.chance == 0.5  # a hover teaches nothing
+    for count in (4, 200):
+        for _ in range(count):
+            arc.weigh(sigma, sigma, turn_m, share=1.0)
+        assert arc.sure
+    for misfit in (0.3, -0.4, 0.2, 0.45):  # of a turn
+        arc.weigh(misfit * turn_m, sigma, turn_m, share=1.0)
+    assert arc.chance < 0.1
+    for _ in range(8):
+        arc.weigh(sigma, sigma, turn_m, share=1.0)
+    assert arc.sure  # the echo is the surface's again
+
+
+@pytest.mark.parametrize("proven", [False, True])
+def test_a_range_of_an_association_that_is_not_sure_leaves_the_pose_alone(proven: bool) -> None:
+    frames, imu, height, flown = _flight("room")
+    work = ul.Odometry(start=flown[:1])
+    work.add_imu(imu)
+    work.add_height(height)
+    work.add({name: part[:50] for name, part in frames.items()})
+    state, radar = work._all._filter, work._all._radars["front"]
+    arm, axis = state.turn @ radar.body_from_sensor[:3, 3], state.turn @ radar.body_from_sensor[:3, 0]
+    asked = [solution._predict_echo(state, one, "front", radar, arm, axis) for one in work._all._surfaces]
+    pair = next(one for one in asked if one is not None)
+    surface, before = pair.surface, state.position.copy()
+    surface.proven, surface.excess, surface.arcs, surface.ranged, pair.index = proven, 9.0, {}, {}, 0
+    range_m = surface.block.jet.range_m
+    found = EchoList(np.array([pair.range_m + 0.04]), np.zeros(1), np.zeros(1), np.zeros(1))
+    work._all._update(state, [pair], {"front": found}, work._all._now_ns)
+    assert np.array_equal(state.position, before)
+    assert (surface.block.jet.range_m == range_m) == proven  # a new surface learns from it
 
 
 def test_before_one_wall_the_way_along_it_is_said_to_be_lost() -> None:

@@ -90,6 +90,7 @@ class _Radar:
         return self.spec.wavelength_m / (4 * math.pi)
 
 
+_UNWRAPPED = 99  # misfits of a phase that the prediction can no longer unwrap
 _UNPROVEN, _LEARN = 9.0, 0.1  # excess of a new surface, and the pace at which it is learned
 _WORST = 25.0  # excess from which a surface is forgotten: it is none
 
@@ -102,7 +103,29 @@ class _Arc:
     phase: float  # that the range of the jet at its start had, extended to range 0 [rad]
     seen_ns: int
     beside_m: float  # range by the pulse less that of the jet, in the last frame
+    chance: float  # that its echo is the surface's
     misfits: int = 0
+
+    @property
+    def sure(self) -> bool:
+        """Whether the echo is the surface's by the odds that an association needs."""
+        return self.chance * math.exp(-_ODDS) > 1 - self.chance
+
+    def weigh(self, misfit: float, sigma: float, turn_m: float, share: float) -> None:
+        """Update the chance by a phase [BarShalomEtAl2001].
+
+        The phase of an echo that is not the surface's is uniform over a turn. An echo may become another's.
+
+        Args:
+            misfit: measured less predicted range [m].
+            sigma: of the misfit, if the echo is the surface's [m].
+            turn_m: range that turns the phase once [m].
+            share: by which the errors of this phase are independent of the last one's.
+        """
+        ratio = turn_m * math.exp(-0.5 * (misfit / sigma) ** 2) / (sigma * math.sqrt(math.tau))
+        still = self.chance + share * _SWAPPED * (1 - 2 * self.chance)
+        right = still * max(ratio, 1e-9) ** share
+        self.chance = right / (right + 1 - still)
 
 
 @dataclass(slots=True, eq=False)
@@ -144,6 +167,7 @@ class _Pair:
 
 
 _FOLLOWED_M = 0.015  # sigma of the change of a pulse's range from one frame to the next, over the predicted one
+_SWAPPED = 0.02  # chance that the echo that is followed becomes another's, or the surface's again
 _ODDS = 3.0  # half the log-likelihood ratio by which an echo must fit one surface better than any other
 _APART_M = 0.2  # echoes nearer to each other than this spoil each other
 _RANGE_EVERY_M = 0.1  # errors of ranges by the pulse are independent so far apart
@@ -293,7 +317,7 @@ class Solution:
 
     def _update(self, state: Filter, pairs: list[_Pair], echoes: Mapping[str, EchoList], t_ns: int) -> None:
         rows, misfits, noises = list[Floats](), list[float](), list[float]()
-        whose = list[_Surface]()
+        whose = list[tuple[_Surface, bool, bool]]()  # surface, its association is sure, by phase
         squares, count = 0.0, 0
         for pair in pairs:
             for row, misfit, noise, arc in self._measured(state, pair, echoes[pair.name], t_ns):
@@ -304,20 +328,24 @@ class Solution:
                 good = score < self.spec.gate_sigma**2
                 if arc is not None:
                     arc.misfits = 0 if good else arc.misfits + 1
-                if good:
+                followed = pair.surface.arcs.get(pair.name)
+                sure = followed is not None and followed.sure
+                if good and (sure or arc is not None or not pair.surface.proven):
                     rows.append(row)
                     misfits.append(misfit)
                     noises.append(noise)
-                    whose.append(pair.surface)
+                    whose.append((pair.surface, sure, arc is not None))
         self._recent.append((squares, count))
         if rows:
-            enough = len({id(one) for one in whose if one.proven}) >= _ENOUGH
+            enough = len({id(one) for one, _, _ in whose if one.proven}) >= _ENOUGH
             share = np.ones((len(state.covariance), len(rows)))
-            for column, surface in enumerate(whose):
+            for column, (surface, sure, phased) in enumerate(whose):
                 surface.proven |= surface.seen > _PROVEN_SEEN and surface.excess < _PROVEN
-                if enough and not surface.proven:
+                moves = sure if surface.proven else phased and not enough
+                if not moves:
                     share[:, column] = 0.0
-                    share[surface.block.rows, column] = 1.0
+                    if not surface.proven:
+                        share[surface.block.rows, column] = 1.0
                     share[[arc.block.at for arc in surface.arcs.values()], column] = 1.0
             state.correct(np.array(rows), np.array(misfits), np.array(noises), share)
 
@@ -342,10 +370,11 @@ class Solution:
                 share = min(1.0, self._step_m / _PHASE_EVERY_M)
                 surface.excess += _LEARN * share * (misfit**2 / (sigma**2 + noise) - surface.excess)
                 noise *= max(surface.excess, 1.0)
+                arc.weigh(misfit, math.sqrt(sigma**2 + noise), wave * math.tau, share)
                 if math.sqrt(noise) < wave * math.pi / 2:
                     yield phased, misfit, noise / max(share, 0.03) + extra, arc
             else:
-                arc.misfits = 99
+                arc.misfits = _UNWRAPPED
         last = surface.ranged.get(pair.name)
         alone = np.abs(np.delete(found.range_m, k) - found.range_m[k]).min(initial=np.inf) > _APART_M
         if alone and (last is None or np.linalg.norm(state.position - last) > _RANGE_EVERY_M):
@@ -375,11 +404,14 @@ class Solution:
             if arc is not None and t_ns - arc.seen_ns <= _ARC_NS and arc.misfits < 3:
                 arc.seen_ns, arc.beside_m = t_ns, float(found.range_m[k] - pair.range_m)
                 continue
+            chance = 1 / (1 + math.exp(-_ODDS / 2))
             if arc is not None:
                 state.remove([surface.arcs.pop(pair.name).block])
-            self._begin_arc(state, pair, found, t_ns)
+                if arc.misfits == _UNWRAPPED and t_ns - arc.seen_ns <= _ARC_NS:
+                    chance = arc.chance
+            self._begin_arc(state, pair, found, t_ns, chance)
 
-    def _begin_arc(self, state: Filter, pair: _Pair, found: EchoList, t_ns: int) -> None:
+    def _begin_arc(self, state: Filter, pair: _Pair, found: EchoList, t_ns: int, chance: float) -> None:
         radar = pair.radar
         arm, axis = state.turn @ radar.body_from_sensor[:3, 3], state.turn @ radar.body_from_sensor[:3, 0]
         fresh = _predict_echo(state, pair.surface, pair.name, radar, arm, axis)
@@ -390,7 +422,8 @@ class Solution:
         noise = np.array([[(radar.wave_m * self.spec.phase_sigma_rad) ** 2]])
         block = state.append(Block(), row, noise)
         phase = float(found.phase[pair.index] + fresh.range_m / radar.wave_m)
-        pair.surface.arcs[pair.name] = _Arc(block, phase, t_ns, float(found.range_m[pair.index] - fresh.range_m))
+        beside_m = float(found.range_m[pair.index] - fresh.range_m)
+        pair.surface.arcs[pair.name] = _Arc(block, phase, t_ns, beside_m, chance)
 
     def _learn(self, state: Filter, name: str, found: EchoList, taken: set[int], t_ns: int) -> None:
         """Follow the echoes that no surface explains, and make surfaces of those whose direction is known."""
