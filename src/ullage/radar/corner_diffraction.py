@@ -16,6 +16,7 @@ from ullage.radar.wires import moved
 from ullage.world.smoothing import welded
 
 _LEAST_SINE = 0.1  # of the angle between the edges of a corner
+_LEAST_BEND = 1e-3  # sine of the angle between two normals of a curved surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +49,10 @@ def face_corners(
     object_ids: Ints,
     surfaces: Longs,
 ) -> Corners:
-    """Find where two edges of one smooth surface meet; arguments as the fields of `diffraction.Edges`."""
+    """Find where two edges of one flat surface meet; arguments as the fields of `diffraction.Edges`."""
     edge, side = (a.ravel() for a in np.meshgrid(np.arange(len(angles)), [0, 1], indexing="ij"))
     keep = (side == 0) | (angles[edge] < 2 - 1e-6)  # both faces of a rim are one
+    keep &= _flat(normals[edge, side], surfaces[edge, side])
     edge, side = np.tile(edge[keep], 2), np.tile(side[keep], 2)
     end = np.repeat([False, True], keep.sum())
     places, others = (np.where(end[:, None], a[edge], b[edge]) for a, b in ((ends, starts), (starts, ends)))
@@ -69,6 +71,14 @@ def face_corners(
     e, s = edge[both], side[both]
     return Corners(places[both[:, 0]], along, lengths, angles[e], normals[e[:, 0], s[:, 0]],
                    np.stack([widths[e, s], widths[e, 1 - s]], 2), object_ids[e[:, 0]])  # fmt: skip
+
+
+def _flat(normals: Floats, surfaces: Longs) -> Bools:
+    """Whether each surface has one normal at all its edges (n): a wave runs straight along it."""
+    _, first, which = np.unique(surfaces, return_index=True, return_inverse=True)
+    bent = np.zeros(len(first))
+    np.maximum.at(bent, which, np.linalg.norm(np.cross(normals, normals[first][which]), axis=1))
+    return np.asarray(bent[which] < _LEAST_BEND)
 
 
 def joined(parts: list[Corners]) -> Corners:
