@@ -21,6 +21,8 @@ from ullage.errors import InputError, shown
 from ullage.geometry import C0, transform
 from ullage.untrusted import read_yaml
 
+MOST_DIV = 255
+"""Greatest divider of a radar's clock."""
 MOST_BOUNCES = 6
 """Greatest number of reflections between sending and receiving."""
 
@@ -314,9 +316,12 @@ class RadarSpec(Spec):
     dac_min: int = Field(949, ge=0, le=2047)
     dac_max: int = Field(1100, ge=0, le=2047)
     dac_step: int = Field(0, ge=0, le=3)
-    prf_div: int = Field(16, ge=4, le=255, description="pulse repetition frequency = 243 MHz / prf_div")
+    prf_div: int = Field(16, ge=4, le=MOST_DIV, description="pulse repetition frequency = 243 MHz / prf_div")
     stagger_div: int | None = Field(
-        None, ge=4, le=255, description="prf_div of every second frame: folded echoes then change place; none: prf_div"
+        None,
+        ge=4,
+        le=MOST_DIV,
+        description="prf_div of every second frame: folded echoes then change place; none: prf_div",
     )
     duty: float = Field(0.95, gt=0, le=1)
     integration_s: float = Field(
@@ -361,6 +366,13 @@ class RadarSpec(Spec):
     def but(self, /, **changes: Any) -> Self:
         """A checked copy with some fields changed."""
         return type(self)(**_over({name: getattr(self, name) for name in type(self).model_fields}, changes))
+
+    def staggered(self) -> Self:
+        """The radar with two pulse intervals in turn, the second about a sixteenth longer."""
+        if self.stagger_div is not None:
+            return self
+        longer = self.prf_div + max(self.prf_div // 16, 1)
+        return self.but(stagger_div=longer if longer <= MOST_DIV else self.prf_div - self.prf_div // 16)
 
     def on_axis(self, range_m: NDArray[np.float64], t_ns: NDArray[np.int64], **changes: Any) -> Self:
         """A checked copy with the range axis and the frame rate of a recording.

@@ -158,8 +158,9 @@ def _with_flight(
     if len(scene.rigs) == 1 and not is_set_by(options, "sensing.rig"):
         scenario = scenario.but(sensing=scenario.sensing.but(rig="declared"))
     sensing = scenario.sensing
-    if sensing.preset == "x4m05" and not (sensing.changes or sensing.is_declared):
-        scenario = scenario.but(sensing=sensing.but(changes={"stagger_div": 17}))  # a world may be large
+    if not (sensing.changes or sensing.is_declared):  # a world may be large
+        longer = next(iter(sensing.radars().sensors.values())).staggered().stagger_div
+        scenario = scenario.but(sensing=sensing.but(changes={"stagger_div": longer}))
     if scenario.flight.waypoints:
         return scenario, scene
     points = waypoints_of(scenario.flight, scenario.world, radars_and_world(scenario, scene)[1])

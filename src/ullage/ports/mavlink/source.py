@@ -19,7 +19,6 @@ from ullage.ports.mavlink.link import POSES, Link, PoseMessage, leave, open_link
 from ullage.ports.mavlink.options import SourceOptions
 from ullage.ports.ned import enu_position, enu_quat
 from ullage.ports.pose_events import EventFeed, ModelPose, Notice, PoseTrack
-from ullage.specs import RadarSpec
 
 SYNC_S = 3.0
 """How long poses wait for TIMESYNC after the first one came [s]."""
@@ -32,8 +31,6 @@ ODOMETRY_S = 1.0
 APART_NS = 500_000_000
 """Attitudes farther apart are not interpolated [ns]."""
 MOST_WAITING = 256
-MOST_DIV = 255
-"""Greatest divider of a radar's clock."""
 
 
 class PoseBuilder:
@@ -138,14 +135,6 @@ def origin_of(text: str) -> Floats:
     """
     x, y, z, *yaw = point_of(text or "0,0,0", "origin", where="mavlink", yaw=True)
     return transform((x, y, z), (0.0, 0.0, np.radians(yaw[0] if yaw else 0.0)))
-
-
-def staggered(radar: RadarSpec) -> RadarSpec:
-    """The radar with two pulse intervals in turn, the second about a sixteenth longer."""
-    if radar.stagger_div is not None:
-        return radar
-    longer = radar.prf_div + max(radar.prf_div // 16, 1)
-    return radar.but(stagger_div=longer if longer <= MOST_DIV else radar.prf_div - radar.prf_div // 16)
 
 
 class PoseFeed(EventFeed):
@@ -257,7 +246,7 @@ def open_source(address: str, options: dict[str, Any], *, log: Log | None = None
     scene = world_of(chosen.world, where=where)
     rig = rig_of(chosen.rig, scene, chosen.model, where=where)
     if chosen.stagger:
-        rig = rig.but(sensors={name: staggered(spec) for name, spec in rig.sensors.items()})
+        rig = rig.but(sensors={name: spec.staggered() for name, spec in rig.sensors.items()})
     link = open_link(address, chosen, role="source", log=log or warn)
     try:
         return CosimulationSource(lambda: PoseFeed(link, chosen), scene.without(chosen.model), rig, chosen, log=log)

@@ -69,7 +69,7 @@ class LikelihoodMapper:
         if vehicle_radius_m is not None:
             self.spec = replace(self.spec, vehicle_m=radius_of_vehicle(vehicle_radius_m))
         self._keyframes, self._work = KeyframeSelector(self.spec), Workload()
-        self._wavelength_m = self._fold_m = 0.0
+        self._wavelength_m, self._fold_m = 0.0, np.inf
         self._phase: bool | None = None
         self._apertures = self._thin = 0  # keyframes, and those with too few frames for a search
         self._published: OccupancyMap | None = None
@@ -106,7 +106,8 @@ class LikelihoodMapper:
             )
         self._wavelength_m = self._wavelength_m or part.spec.wavelength_m
         staggered = part.spec.stagger_div not in (None, part.spec.prf_div)
-        self._fold_m = np.inf if staggered else part.spec.unambiguous_range_m  # the keyframes have true ranges
+        if not staggered:  # else the keyframes have true ranges
+            self._fold_m = min(self._fold_m, part.spec.unambiguous_range_m)
         if part.spec.wavelength_m != self._wavelength_m:
             raise InputError(
                 f"its carrier differs from the other sensors' ({part.spec.center_hz:g} Hz)",
