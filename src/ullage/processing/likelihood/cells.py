@@ -32,7 +32,8 @@ from ullage.processing.likelihood.surfaces import UNFIT_SIGMA, Surface, smoothed
 
 LIKELY = 50  # percent from which a cell that echoes show is published: it rather holds surface than not
 FULL_NATS = 30.0  # an echo with as many counts in full
-MOST_HALF_M, MOST_BEND = 0.5, 2.0  # of the piece of a surface that one echo shows; the bend is that of volumes
+MOST_BEND = 2.0  # of the piece of a surface that one echo shows, in a volume [1/m]
+MOST_HALF_M, MOST_ZONES, NEAR_FOOT_M = 1.2, 4.0, 1.0  # of what one echo shows; of points that share a level [m]
 LEAST_RADIUS_M = 0.25  # of a round surface
 DOUBT = 0.3  # standard deviations of the curvature by which that piece is narrowed
 FLOWN_M, FLOWN_SHARE = 0.1, 0.3  # a surface whose specular points lie so near to the track, so many of them, is false
@@ -226,11 +227,26 @@ def _views(
     range_m, curvature = state[:, 0], state[:, 2]
     flatness = 1 - curvature * range_m  # by which the specular point moves as the sensor moves: 1 for a flat wall
     narrowed = np.maximum(np.abs(flatness) - DOUBT * sigma * range_m, 0)
-    half = np.minimum(spec.support * np.sqrt(0.5 * wavelength_m * range_m * narrowed), MOST_HALF_M)
+    foot = place + range_m[:, None] * np.stack([np.cos(state[:, 1]), np.sin(state[:, 1])], axis=1)
+    wide = np.concatenate([steadiness(foot[owner == one], level[owner == one]) for one in range(len(surfaces))])
+    half = np.minimum(spec.support * wide * np.sqrt(0.5 * wavelength_m * range_m * narrowed), MOST_HALF_M)
     steep = np.abs(flatness) > 0.2
     bend = np.where(steep, curvature / np.where(steep, flatness, 1.0), 0.0)
     bend = np.clip(bend, -1 / LEAST_RADIUS_M, 1 / LEAST_RADIUS_M)
     return Views(place, np.ascontiguousarray(state), half, bend, level, weight), owner, cut
+
+
+def steadiness(foot: Floats, level: Floats) -> Floats:
+    """Distance (k) to the next edge that the level of an echo allows, in radii of the first Fresnel zone.
+
+    At a distance of v sqrt(wavelength range) / 2 from an edge the level ripples by 0.225 / v [BornWolf1999].
+    """
+    near = np.linalg.norm(foot[:, None] - foot, axis=2) < NEAR_FOOT_M
+    count = near.sum(axis=1)
+    mean = near @ level / count
+    ripple = np.sqrt(np.maximum(near @ level**2 / count - mean**2, 0)) / np.maximum(mean, 1e-30)
+    zones = np.clip(0.225 / np.maximum(ripple, 1e-3), math.sqrt(2), MOST_ZONES)
+    return np.asarray(np.where(count >= 4, zones, math.sqrt(2)) / math.sqrt(2))
 
 
 class _Rows(NamedTuple):

@@ -31,10 +31,12 @@ from ullage.processing.likelihood.cells import (
     LEAST_FLATNESS,
     LIKELY,
     MOST_BEND,
+    MOST_HALF_M,
     ROUNDS,
     SEEN_SHARE,
     free_percent,
     occupied_percent,
+    steadiness,
 )
 from ullage.processing.likelihood.directions import DirectedEchoes
 from ullage.processing.likelihood.folding import folded
@@ -52,7 +54,6 @@ from ullage.processing.likelihood.volume_surfaces import (
 RESOLVED = 0.9  # share of the likelihood that the direction of a surface on the map has
 LEAST_SHARE = 0.05  # of a rival whose cells are ambiguous
 LOUDEST_DB = 3.0  # of a flat surface against a mirror: other echoes at its range may add as much
-MOST_HALF_M, MOST_ZONES, NEAR_FOOT_M = 1.2, 4.0, 1.0  # of what one echo shows; of points that share a level [m]
 NARROW = 0.5  # width of the path that a crossed surface must fill, over that of a tube of free space in a plane
 CELL_MARGIN_M = 0.15  # more than in a plane, which asks for whole cells: pulse width and half a block
 STEP_M = 0.1  # of range, in which silence is kept
@@ -207,7 +208,7 @@ def _views(
     flat = np.ones((len(state), 2))
     flat[:, 1] -= np.where(round_, state[:, 4] * range_m, 0.0)
     foot, level = place + range_m[:, None] * state[:, 1:4], np.array([one.level for one in seen])
-    wide = np.concatenate([_steadiness(foot[owner == one], level[owner == one]) for one in range(len(surfaces))])
+    wide = np.concatenate([steadiness(foot[owner == one], level[owner == one]) for one in range(len(surfaces))])
     half = spec.support * wide[:, None] * np.sqrt(0.5 * wavelength_m * range_m[:, None] * np.abs(flat))
     half = np.minimum(half, MOST_HALF_M)
     bend = np.zeros_like(flat)
@@ -228,19 +229,6 @@ def _unfolded(views: SpatialViews, far: Bools, wavelength_m: float, fold_m: floa
         half_m=np.minimum(views.half_m * np.sqrt(grown)[:, None], MOST_HALF_M),
         level=views.level * grown,
     )
-
-
-def _steadiness(foot: Floats, level: Floats) -> Floats:
-    """Distance (k) to the next edge that the level of an echo allows, in radii of the first Fresnel zone.
-
-    At a distance of v sqrt(wavelength range) / 2 from an edge the level ripples by 0.225 / v [BornWolf1999].
-    """
-    near = np.linalg.norm(foot[:, None] - foot, axis=2) < NEAR_FOOT_M
-    count = near.sum(axis=1)
-    mean = near @ level / count
-    ripple = np.sqrt(np.maximum(near @ level**2 / count - mean**2, 0)) / np.maximum(mean, 1e-30)
-    zones = np.clip(0.225 / np.maximum(ripple, 1e-3), math.sqrt(2), MOST_ZONES)
-    return np.asarray(np.where(count >= 4, zones, math.sqrt(2)) / math.sqrt(2))
 
 
 def _flown_through(views: SpatialViews, owner: Longs, flown: Floats) -> Bools:
