@@ -95,17 +95,15 @@ def render(
         slopes = (sloped & ~false)[owner]
         clearance = _clearance(views, owner)
         doubt = np.sqrt([one.covariance[1, 1] for one in surfaces])[owner]
-        paths = views._replace(state=views.state.copy())
-        paths.state[slopes, 0] *= paths.state[slopes, 3]  # up to the foot of the perpendicular
         near = _extensions(plane, views, alive, spec.extension_m)
         ends = evidence.copy()
         draw_surfaces(plane, views, doubtful, ends, level)
         # surfaces whose place is open end the paths of other echoes
         nearest, reached = _nearest(views, owner, surfaces, spec.extension_m)
         ends += _unplaced(plane, nearest, slopes & ~cut[1] & reached, (views, alive, widening), spec)
-        width = np.where(alive | slopes, spec.tube * clearance, 0.0)
+        width = np.where(alive, spec.tube * clearance, 0.0)  # echoes of slopes leave the plane
         tubes = Tubes(width, doubt, wavelength_m, spec.margin_m, SURE_M)
-        free = _passed(plane, paths, tubes, ends, near) & (quiet[0] >= 0)
+        free = _passed(plane, views, tubes, ends, near) & (quiet[0] >= 0)
         free |= _silent(plane, silence, ends, free | (percent == 0), spec)
         free &= ~shown & (percent != 0)
         percent[free] = free_percent(quiet[0, free], spec)

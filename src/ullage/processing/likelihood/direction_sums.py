@@ -39,7 +39,7 @@ class DirectionSums:
             np.zeros(count),
         )
         self.energy = np.zeros((count, bins), np.float32)
-        self._peak, self._where = np.zeros(bins, np.float32), np.zeros(bins, np.int64)
+        self.peak, self._where = np.zeros(bins, np.float32), np.zeros(bins, np.int64)
 
     def sum(self, low: int, high: int) -> None:
         """Sum anew from bin `low` to `high`."""
@@ -50,7 +50,7 @@ class DirectionSums:
         if low >= high:
             return
         count = len(self.directions)
-        chunk = min(max(CHUNK * len(self._peak) // (high - low), 1), count)
+        chunk = min(max(CHUNK * len(self.peak) // (high - low), 1), count)
         now = np.column_stack([self._aperture.offset, self._aperture.late[self._aperture.sensor]])
         moved = not np.array_equal(self._turned, now)
         for start in range(0, count, chunk):
@@ -60,7 +60,7 @@ class DirectionSums:
             sum_turned(self._aperture, self._turns, 0.0, start, stop, low, high, self.energy)
             yield
         self._turned = now
-        find_peaks(self.energy, low, high, self._peak, self._where)
+        find_peaks(self.energy, low, high, self.peak, self._where)
 
     def strongest(self, floor: Floats | float, low: int, high: int) -> tuple[float, int, int]:
         """Largest energy over the floor of its bin, with its direction and bin.
@@ -70,6 +70,6 @@ class DirectionSums:
             low: first bin.
             high: bin after the last.
         """
-        over = (self._peak / floor)[low:high]
+        over = (self.peak / floor)[low:high]
         k = low + int(np.argmax(over))
         return float(over[k - low]), int(self._where[k]), k

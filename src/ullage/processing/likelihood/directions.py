@@ -131,11 +131,8 @@ class DirectionFinder:
         bins, radars = aperture.samples.shape[1], key.radar[-1] + 1
         low, high = key.silent_bin, bins - int(FAR_END_M / key.bin_m)
         track = _track_of(aperture.offset, aperture.sensor)
-        floor, found, patterns = (
-            np.ones(bins),
-            list[_Echo](),
-            Patterns(cubes[key.radar], np.ascontiguousarray(key.turns)),
-        )
+        floor, left, found = np.ones(bins), np.zeros(bins), list[_Echo]()
+        patterns = Patterns(cubes[key.radar], np.ascontiguousarray(key.turns))
         if len(aperture.offset) >= LEAST_ROWS and low < high:
             self.mount_errors.expect(aperture, key.mount_sigma_m / key.bin_m)
             poses, samples = AperturePoses(aperture), aperture.samples.copy()
@@ -148,8 +145,9 @@ class DirectionFinder:
             if poses.uncertain:  # all echoes together have shown the errors, so the samples are explained anew
                 aperture.samples[:], floor[:] = samples, 1.0
                 found = yield from self._clean(seen, sums, floor)
+            left = sums.peak  # more than the search finds at most
         silent = np.full(bins, np.inf, np.float32)
-        silent[low:high] = floor[low:high] * spec.least_snr * noise
+        silent[low:high] = np.maximum(floor * spec.least_snr * noise, left)[low:high]
         return DirectedEchoes(
             key.position, track, Patterns(cubes[:radars], np.ascontiguousarray(key.turns[key.first])),
             np.bincount(key.radar[aperture.sensor], minlength=radars).astype(float), silent,
