@@ -537,7 +537,7 @@ READERS = [
         if _there("pymavlink")
         else []
     ),
-    Reader("nmea", _track("nmea"), "a.nmea", _reader("vehicle_logs", "read_nmea")),
+    *(Reader(kind, _track(kind), f"a.{kind}", _reader("vehicle_logs", f"read_{kind}")) for kind in ("nmea", "ubx")),
     Reader("tracks", _tracks_in_a_bag, "a.mcap", _read_tracks, pack=mcap_of),
     Reader("motive", _recorded("pulson440", "rail_a", "mocap.csv", most=12_000), "mocap.csv", _read_motive),
     Reader("peer-imc", lambda folder: peers.imc_seeds(folder, small_frames()), "a.bytes", peers.read_imc),

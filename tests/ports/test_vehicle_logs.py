@@ -108,6 +108,64 @@ def test_fixes_are_east_north_up_of_a_datum(radar: Path) -> None:
     np.testing.assert_allclose(first.position, known.position - known.position[0], atol=2e-3)
 
 
+@pytest.mark.parametrize(("kinds", "high", "metres"), [
+    ("HPPOSLLH PVT POSLLH", 0, 1e-3), ("PVT POSLLH", 1, 0.02), ("POSLLH", 2, 0.02),
+])  # fmt: skip
+def test_fixes_of_a_u_blox_receiver_are_those_of_its_finest_message(
+    radar: Path, kinds: str, high: float, metres: float
+) -> None:
+    known = flown()
+    (radar.parent / "track.ubx").write_bytes(logs.ubx(known, kinds=kinds))
+    got = track_of(ul.open(radar.parent, datum="-33.5,-70.25,520"))
+    assert len(got) == len(known)
+    np.testing.assert_array_equal(np.diff(got.t_ns), np.diff(known.t_ns))  # through the end of the week
+    raised = ul.Trajectory(known.t_ns, known.position + np.array([0, 0, high]), known.quat_xyzw)
+    assert_same(got, raised, metres=metres, turned=False)
+
+
+def test_damage_to_a_u_blox_log_costs_no_message_but_its_own(radar: Path) -> None:
+    known = flown()
+    rows = [logs.ubx(known[k : k + 1], kinds="PVT") for k in range(len(known))]
+    rows[3] = rows[3][:4] + b"\xff\xff" + rows[3][6:]  # a length beyond the file
+    rows[5] = rows[5][:40] + bytes([rows[5][40] ^ 1]) + rows[5][41:]
+    rows[7] = rows[7][:60]
+    rows[9] = b"$GNGGA,\xff\xfe\r\n\xb5\x62" + rows[9]
+    rows[11] = logs.ubx_message("PVT", 1, (0, 0, 0, 0), (), fixed=False)
+    (radar.parent / "track.ubx").write_bytes(b"".join(rows))
+    with pytest.warns(ul.UllageWarning, match=r"track\.ubx: 2 messages are damaged; left out"):
+        got = track_of(ul.open(radar.parent, datum="-33.5,-70.25,520"))
+    kept = np.delete(np.arange(len(known)), [3, 5, 7, 11])
+    np.testing.assert_array_equal(got.t_ns - got.t_ns[0], known.t_ns[kept] - known.t_ns[0])
+
+
+@pytest.mark.parametrize("kind", ["HPPOSLLH", "PVT", "POSLLH"])
+def test_a_u_blox_log_without_a_fix_is_refused(radar: Path, kind: str) -> None:
+    (radar.parent / "track.ubx").write_bytes(logs.ubx_message(kind, 5, (0, 0, 0, 0), (0, 0, 0, 0), fixed=False) * 3)
+    with pytest.raises(ul.InputError, match=r"track\.ubx: no fix in it.*fixes of a satellite receiver"):
+        ul.open(radar.parent)
+
+
+def test_fixes_that_are_nowhere_on_earth_are_left_out(radar: Path) -> None:
+    stray = logs.ubx_message("POSLLH", 604_795_050, (0, 950_000_000, 0, 0), ())
+    (radar.parent / "track.ubx").write_bytes(stray + logs.ubx(flown(), kinds="POSLLH"))
+    with pytest.warns(ul.UllageWarning, match="1 of 102 fixes are nowhere on earth"):
+        assert len(track_of(ul.open(radar.parent, datum="-33.5,-70.25,520"))) == 101
+
+
+def test_the_messages_of_this_test_are_those_of_another_library() -> None:
+    pyubx2 = pytest.importorskip("pyubx2")
+    for kind in ("HPPOSLLH", "PVT", "POSLLH"):
+        raw = logs.ubx_message(kind, 7000, (-702_500_001, -335_000_002, 520_003, 488_503), (-4, 5, -6, 0))
+        read = pyubx2.UBXReader.parse(raw)
+        assert read.identity == f"NAV-{kind}"
+        fine = np.array([-4e-9, 5e-9, -6e-1]) if kind == "HPPOSLLH" else np.zeros(3)
+        want = np.array([-70.2500001, -33.5000002, 520_003]) + fine
+        np.testing.assert_allclose([read.lon, read.lat, read.height], want, rtol=2e-12)
+        assert read.iTOW == 7000
+        assert getattr(read, "gnssFixOk", 1) == 1
+        assert getattr(read, "invalidLlh", 0) == 0
+
+
 @pytest.mark.parametrize(
     ("text", "datum", "words"),
     [

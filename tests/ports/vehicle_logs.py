@@ -1,4 +1,4 @@
-"""Logs of vehicles as their programs write them, made of a track: PX4's ULog, ArduPilot's DataFlash, NMEA 0183."""
+"""Logs of vehicles as their programs write them, made of a track: PX4's ULog, ArduPilot's DataFlash, NMEA 0183, UBX."""
 
 from __future__ import annotations
 
@@ -75,3 +75,36 @@ def sentence(t_s: float, position: np.ndarray) -> str:
     degrees = f"{int(lat):02d}{lat % 1 * 60:010.7f},S,{int(lon):03d}{lon % 1 * 60:010.7f},W"
     body = f"GPGGA,{clock},{degrees},4,12,0.7,{at.height_m - 31.5:.3f},M,31.5,M,,"
     return f"${body}*{reduce(operator.xor, body.encode(), 0):02X}\r\n"
+
+
+def ubx(track: ul.Trajectory, *, kinds: str = "HPPOSLLH PVT POSLLH", start_ms: int = 604_795_000) -> bytes:
+    """Fixes of a u-blox receiver, by default past the end of the week; NAV-PVT is 1 m high and NAV-POSLLH 2 m."""
+    out = b""
+    for t_ns, position in zip(track.t_ns, track.position, strict=True):
+        tow = (start_ms + int(t_ns) // 1_000_000) % 604_800_000
+        for high, kind in enumerate(("HPPOSLLH", "PVT", "POSLLH")):
+            at = PLACE.moved(SWAP @ (position + np.array([0, 0, high])))
+            tenths = [round(value) for value in (*np.degrees([at.lon_rad, at.lat_rad]) * 1e9, at.height_m * 1e4)]
+            whole = [round(value / scale) for value, scale in zip(tenths, (100, 100, 10), strict=True)]
+            fine = [value - one * scale for value, one, scale in zip(tenths, whole, (100, 100, 10), strict=True)]
+            if kind in kinds.split():
+                out += ubx_message(kind, tow, (*whole, whole[2] - 31_500), (*fine, 0))
+    return out
+
+
+def ubx_message(kind: str, tow: int, place: tuple[int, ...], fine: tuple[int, ...], *, fixed: bool = True) -> bytes:
+    """One message of a place: longitude, latitude, height and that over the sea, and what they lack."""
+    accuracy = 14 if fixed else 2**32 - 1
+    if kind == "HPPOSLLH":
+        number = 0x14
+        payload = struct.pack("<4BI4i4b2I", 0, 0, 0, not fixed, tow, *place, *fine, accuracy * fixed, 20)
+    elif kind == "PVT":
+        number, utc = 0x07, struct.pack("<H6BIi", 2026, 11, 29, 0, 0, 0, 7, 20, 0)
+        payload = struct.pack("<I16sBBBB4iII", tow, utc, 3, fixed, 0, 12, *place, accuracy * fixed, 20) + bytes(44)
+    else:
+        number, payload = 0x02, struct.pack("<I4i2I", tow, *place, accuracy, 20)
+    body, first, second = struct.pack("<BBH", 1, number, len(payload)) + payload, 0, 0
+    for byte in body:
+        first = (first + byte) % 256
+        second = (second + first) % 256
+    return b"\xb5\x62" + body + bytes([first, second])

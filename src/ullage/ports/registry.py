@@ -26,7 +26,7 @@ Made = TypeVar("Made")
 SOURCES = (
     ".mcap, .bag, .db3, .zarr, DUNE's .lsf or .lsf.gz, an X4 .dat, a PulsON .out or .json, arrays in .npz, .mat "
     "or .h5, or a folder with frames.mcap, metadata.yaml, or radar.out (.npz, .mat, .h5, .dat, .json) and a track "
-    "(mocap.csv, track.csv, .txt, .ulg, .bin, .nmea, .mcap, .bag)"
+    "(mocap.csv, track.csv, .txt, .ulg, .bin, .nmea, .ubx, .mcap, .bag)"
 )
 SINKS = f".mcap, a folder, .zarr, .lsf, .lsf.gz, a map: .yaml, .bt, .ot, .ply; or live: {LISTED_SINKS}"
 NEEDED = {"ros2": ("rclpy",), "gazebo": ("zmq", "google.protobuf"), "mavlink": ("pymavlink",)}

@@ -17,12 +17,12 @@ from ullage.ports.motive import read_tracks
 from ullage.ports.protocol import Source, WholeSource
 from ullage.ports.pulson import read_arrays, read_log, read_scans
 from ullage.ports.tracks import Survey, read_bodies, read_survey
-from ullage.ports.vehicle_logs import read_dataflash, read_nmea, read_ulog
+from ullage.ports.vehicle_logs import read_dataflash, read_nmea, read_ubx, read_ulog
 from ullage.specs import MountSpec
 from ullage.untrusted import reading
 
 BAGS = (".mcap", ".bag", ".db3")
-TRACK_FILES = (".csv", ".txt", ".tum", ".ulg", ".bin", ".nmea")
+TRACK_FILES = (".csv", ".txt", ".tum", ".ulg", ".bin", ".nmea", ".ubx")
 TRACKS = ("mocap.csv", *(f"track{kind}" for kind in (*TRACK_FILES, *BAGS)))
 """Names of the radar's track in a folder with its recording."""
 
@@ -143,6 +143,8 @@ def _read(path: Path, *, topic: str, datum: str) -> dict[str, Trajectory]:
             return {"radar": read_dataflash(path)}
         if kind == ".nmea":
             return {"radar": read_nmea(path, datum=datum)}
+        if kind == ".ubx":
+            return {"radar": read_ubx(path, datum=datum)}
         if kind in BAGS:
             from ullage.ports.ros2.bags import read_track
 

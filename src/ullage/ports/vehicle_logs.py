@@ -1,7 +1,7 @@
 """Tracks of vehicles from their own logs: PX4's `.ulg`, ArduPilot's `.bin`, and the fixes of satellite receivers.
 
 Autopilots write north-east-down and forward-right-down; here tracks are ENU and FLU. Fixes become east, north and up of
-a datum; where a log has no attitude, it is that of the world [ULog] [NMEA0183].
+a datum; where a log has no attitude, it is that of the world [ULog] [NMEA0183] [UBXF9].
 """
 
 from __future__ import annotations
@@ -37,6 +37,22 @@ ESTIMATES = ("XKF1", "NKF1")
 LAYOUT = re.compile(rb"\xa3\x95\x80(.)(.)", re.DOTALL)
 """The start of a record of ArduPilot that says how long a kind of record is: that kind, its bytes with their header."""
 DAY_NS = 86_400_000_000_000
+_PLACE: Any = [("place", "<i4", 3), ("sea", "<i4")]
+UBX = {
+    b"\xb5\x62\x01\x14\x24\x00": np.dtype([  # NAV-HPPOSLLH
+        ("head", "V6"), ("version", "V3"), ("invalid", "u1"), ("tow", "<u4"), *_PLACE, ("fine", "i1", 4),
+        ("accuracy", "<u4"), ("vertical", "<u4"), ("sums", "u1", 2),
+    ]),
+    b"\xb5\x62\x01\x07\x5c\x00": np.dtype([  # NAV-PVT
+        ("head", "V6"), ("tow", "<u4"), ("utc", "V17"), ("fixed", "u1"), ("more", "V2"), *_PLACE,
+        ("accuracy", "<u4"), ("rest", "V48"), ("sums", "u1", 2),
+    ]),
+    b"\xb5\x62\x01\x02\x1c\x00": np.dtype([  # NAV-POSLLH
+        ("head", "V6"), ("tow", "<u4"), *_PLACE, ("accuracy", "<u4"), ("vertical", "<u4"), ("sums", "u1", 2),
+    ]),
+}  # fmt: skip
+"""Messages with fixes, the finest first: GPS time of week [ms]; longitude, latitude [1e-7 deg] and height [mm]; what
+these lack [1e-9 deg, 0.1 mm]. Without a fix, bit 0 of `invalid` is set or that of `fixed` is not [UBXF9, UBX-NAV]."""
 
 
 def track_of_poses(rows: Iterable[Pose], path: Path) -> Trajectory:
@@ -72,7 +88,10 @@ def track_of_fixes(rows: Iterable[Fix], datum: str, path: Path) -> Trajectory:
     Raises:
         InputError: the datum is none, or there are no fixes.
     """
-    fixes = [row for row in rows if np.isfinite(row[1:]).all()]
+    found = [row for row in rows if np.isfinite(row[1:]).all()]
+    fixes = [row for row in found if abs(row[1]) <= 90 and abs(row[2]) <= 180 and abs(row[3]) < MOST_M]
+    if len(fixes) < len(found):
+        warn(f"{path}: {len(found) - len(fixes)} of {len(found)} fixes are nowhere on earth; left out")
     if not fixes:
         raise InputError("no fix in it", where=path, allowed="fixes of a satellite receiver")
     times, *place = (np.array(column) for column in zip(*fixes, strict=True))
@@ -184,5 +203,51 @@ def _fix(line: str) -> Fix | tuple[()] | None:
     except (ValueError, IndexError, OverflowError):  # infinite seconds have no nanoseconds
         return None
     values = (lat * (-1 if cells[3] == "S" else 1), lon * (-1 if cells[5] == "W" else 1), height)
-    good = abs(values[0]) <= 90 and abs(values[1]) <= 180 and abs(height) < MOST_M and 0 <= t_ns < DAY_NS
-    return (t_ns, *values) if good else None
+    return (t_ns, *values) if 0 <= t_ns < DAY_NS else None
+
+
+def read_ubx(path: Path, *, datum: str = "") -> Trajectory:
+    """Read the fixes in a binary log of a u-blox receiver, from the finest kind of message that has one.
+
+    Messages are found by their heads, so that bytes between them do no harm. Times are those of the GPS week.
+
+    Args:
+        path: the log.
+        datum: origin, `latitude,longitude[,height]`; none: the first fix, with a warning.
+
+    Raises:
+        InputError: no message holds a fix, or the datum is none.
+    """
+    with reading(path):
+        raw = path.read_bytes()
+    rows: list[Fix] = []
+    damaged = 0
+    for head, layout in UBX.items():
+        cells = [raw[one.start() : one.start() + layout.itemsize] for one in re.finditer(re.escape(head), raw)]
+        whole = [cell for cell in cells if len(cell) == layout.itemsize and _sums(cell[2:-2]) == cell[-2:]]
+        damaged += len(cells) - len(whole)
+        rows = rows or _ubx_fixes(np.frombuffer(b"".join(whole), layout))
+    if damaged:
+        warn(f"{path}: {damaged} messages are damaged; left out")
+    return track_of_fixes(rows, datum, path)
+
+
+def _sums(body: bytes) -> bytes:
+    """Fletcher's checksum of 8 bits [UBXF9, UBX checksum]."""
+    values = np.frombuffer(body, np.uint8).astype(int)
+    return bytes([values.sum() % 256, values.cumsum().sum() % 256])
+
+
+def _ubx_fixes(rows: Any) -> list[Fix]:
+    """The fixes in messages of one kind."""
+    names = rows.dtype.names
+    good = rows["accuracy"] < 2**32 - 1
+    for name, sign in (("invalid", 0), ("fixed", 1)):
+        good &= (rows[name] & 1 == sign) if name in names else True
+    rows = rows[good]
+    place = rows["place"] * [1e-7, 1e-7, 1e-3]
+    if "fine" in names:
+        place += rows["fine"][:, :3] * [1e-9, 1e-9, 1e-4]
+    t_ns = rows["tow"].astype(np.int64) * 1_000_000
+    t_ns[1:] += 7 * DAY_NS * (np.diff(t_ns) < -7 * DAY_NS // 2).cumsum()
+    return [(int(t), lat, lon, height) for t, (lon, lat, height) in zip(t_ns, place.tolist(), strict=True)]
