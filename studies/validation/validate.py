@@ -20,9 +20,7 @@ from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.explain import contributions
 from ullage.radar.multipath import image_lengths
 from ullage.radar.physical import echoes, path_gain_cw
-from ullage.radar.sphere_bounces import fan_weights
-from ullage.radar.wall_bodies import accumulate_wall_bodies
-from ullage.radar.wall_bounces import fan_of
+from ullage.radar.walls import accumulate_walls, ball_lines, sampled, summed
 from ullage.specs import RadarSpec
 from ullage.world import scenes
 from ullage.world.scene import Scene
@@ -152,9 +150,10 @@ def inside_spheres() -> Iterator[Row]:
 
 def sphere_wall_to_wall(away_m: float, frequency_hz: float, bounces: int) -> complex:
     """Compute the path gain from wall to wall of a sphere of 1 m by rays, with reflection coefficients of 1."""
-    place, k = np.array([away_m, 0.0]), oracles.wave_number(frequency_hz)
-    fan = fan_of(1.0, place, place, bounces, k)
-    return complex(2 * (fan_weights(fan) * np.exp(-1j * k * fan.along[-1])).sum())
+    k = oracles.wave_number(frequency_hz)
+    lines, value = ball_lines(1.0, away_m, bounces, k)
+    sums, _ = summed(lines, 1.0, sampled(lines, 1.0, k, value != 0), value, (1.0, 0.0))
+    return complex((sums.values * np.exp(-1j * k * sums.lengths)).sum())
 
 
 def tank_wall_to_wall(
@@ -177,10 +176,12 @@ def gain_over_wall(scene: Scene, pose: Trajectory, spec: RadarSpec, bounces: int
     antennas = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
     world, grids = context.world, np.zeros((3, context.places), complex)
     sizes = np.zeros(len(world.still.planar))
-    found = accumulate_wall_bodies(
+    found = accumulate_walls(
         context, world.parts(), world.quadrics, world.still.planar, antennas, bounces, sizes, grids
     )
-    return complex(sum(p.echo.sum() for p in found if p.via is not None and ((p.via >= 0).sum(1) == bounces - 1).all()))
+    chains = ((part, np.column_stack([part.via, part.object_ids])) for part in found if part.via is not None)
+    return complex(sum(part.echo.sum() for part, chain in chains
+                       if ((chain >= 0).sum(1) == bounces).all() and np.ptp(chain[0][chain[0] >= 0])))  # fmt: skip
 
 
 def tank_and_drum_pulses(

@@ -10,7 +10,7 @@ import pytest
 import ullage as ul
 from studies.validation import oracles
 from studies.validation.validate import sphere_wall_to_wall
-from ullage.radar import physical, sphere_bounces
+from ullage.radar import physical, walls
 from ullage.world.scene import Scene
 
 SPEC = ul.RadarSpec.preset("x4m05").but(antenna={"kind": "isotropic"})
@@ -29,7 +29,7 @@ def inside(scene: Scene, place: tuple[float, float, float], spec: ul.RadarSpec =
     context = physical.radar_context(scene, spec)
     antennas = physical.antenna_pair(spec, np.array(place), np.eye(3))
     grids = np.zeros((3, context.places), complex)
-    echoes = sphere_bounces.accumulate_inside(context, context.world.parts(None), antennas, bounces, grids)
+    echoes = walls.accumulate_inside(context, context.world.parts(None), antennas, bounces, grids)
     return sum((part.echo.sum() for part in echoes), 0j)
 
 

@@ -12,7 +12,7 @@ from studies.validation.validate import gain_over_wall, tank_and_drum_pulses
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import apparent_sizes
 from ullage.radar.prepared import prepare
-from ullage.radar.wall_bodies import TO_AND_FRO, WALL_FIRST, accumulate_wall_bodies, lines_over
+from ullage.radar.walls import TO_AND_FRO, WALL_FIRST, accumulate_walls, lines_over
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -28,13 +28,19 @@ def tank(thing, height=3.0):
 
 
 def heard(scene, pose, spec, bounces):
-    """What `accumulate_wall_bodies` alone lays on the grids, echo by echo."""
+    """What `accumulate_walls` lays on the grids over the thing in a tank, echo by echo."""
     context = radar_context(scene, spec)
     antennas = antenna_pair(spec, pose.position[0], ul.geometry.quat_matrix(pose.quat_xyzw)[0])
     world, grids = context.world, np.zeros((3, context.places), complex)
     planar = world.still.planar
     look = apparent_sizes(context, planar, antennas)
-    return accumulate_wall_bodies(context, world.parts(), world.quadrics, planar, antennas, bounces, look, grids)
+    found = accumulate_walls(context, world.parts(), world.quadrics, planar, antennas, bounces, look, grids)
+    return over_thing(scene, found)
+
+
+def over_thing(scene, echoes):
+    thing = len(scene.objects) - 1
+    return [part for part in echoes if (part.object_ids == thing).any() or (part.via == thing).any()]
 
 
 def total(echoes):
@@ -131,7 +137,7 @@ def off_the_image(place):
     antennas = replace(antenna_pair(spec, place, np.eye(3)), origins=np.array(both))
     planar, grids = context.world.still.planar, np.zeros((3, context.places), complex)
     told = context, context.world.parts(), context.world.quadrics, planar, antennas, 2, np.zeros(len(planar)), grids
-    want = total(accumulate_wall_bodies(*told))  # both orders, image to radar; radar to image is as much
+    want = total(over_thing(deep, accumulate_walls(*told)))  # both orders, image to radar; radar to image is as much
     floor = [part for part in heard(scene, at(*place), spec, 3) if ((part.via >= 0).sum(1) == 2).all()
              and (part.via[:, 0] != part.object_ids).all()]  # fmt: skip
     assert abs(want) > 1e-5

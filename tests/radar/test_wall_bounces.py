@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 import ullage as ul
 from studies.validation.rows import radar
 from studies.validation.validate import tank_wall_to_wall
-from ullage.radar import wall_bounces
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import apparent_sizes
 from ullage.radar.prepared import prepare
 from ullage.radar.quadrics import quadrics_of, smooth_surfaces_of, walls_of
+from ullage.radar.walls import accumulate_walls
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -35,9 +35,7 @@ def walls(scene, pose, spec, bounces=2):
     antennas = antenna_pair(spec, pose.position[0], ul.geometry.quat_matrix(pose.quat_xyzw)[0])
     planar, grids = context.world.still.planar, np.zeros((3, context.places), complex)
     look, world = apparent_sizes(context, planar, antennas), context.world
-    echoes = wall_bounces.accumulate_walls(
-        context, world.parts(), world.quadrics, planar, antennas, bounces, look, grids
-    )
+    echoes = accumulate_walls(context, world.parts(), world.quadrics, planar, antennas, bounces, look, grids)
     return sum((part.echo.sum() for part in echoes), 0j)
 
 

@@ -10,6 +10,16 @@ from ullage.kernels.loops import core, lean
 from ullage.kernels.vectors import dot, unit_to
 
 
+class WallLines(NamedTuple):
+    """Paths over lines (n) along a wall, or over the places where rays meet it."""
+
+    lengths: Floats  # (n) [m]
+    slopes: Floats  # (n) how fast the paths grow along the wall
+    rates: Floats  # (n) distance from one to the next over the step
+    cuts: Floats  # (n) no part of the sum comes from where the path grows faster than this
+    step: float  # [m]
+
+
 class WallPlaces(NamedTuple):
     """Places (m) for the sum along a wall."""
 
@@ -50,61 +60,56 @@ def beside(
 
 
 @core(error_model="numpy")
-def _between(lengths: Floats, slopes: Floats, i: int, share: float, step: float) -> tuple[float, float]:
-    """Compute the path [m] at a share of the distance from line i to the next, and its slope, by a cubic."""
+def _between(lines: WallLines, i: int, share: float) -> tuple[float, float]:
+    """Compute the path [m] at a share of the distance from line i to the next, by a cubic, and its slope."""
+    lengths, slopes, rates, _, step = lines
     j = (i + 1) % len(lengths)
-    a, b, p, q = lengths[i], lengths[j], step * slopes[i], step * slopes[j]
+    a, b, p, q = lengths[i], lengths[j], step * rates[i] * slopes[i], step * rates[j] * slopes[j]
     bow, bend = 3 * (b - a) - 2 * p - q, 2 * (a - b) + p + q
-    return a + share * (p + share * (bow + share * bend)), (p + share * (2 * bow + 3 * share * bend)) / step
+    return a + share * (p + share * (bow + share * bend)), slopes[i] + share * (slopes[j] - slopes[i])
 
 
 @lean(error_model="numpy")
-def sampled(
-    lengths: Floats, slopes: Floats, there: Bools, step: float, cut: float, many: int, places: WallPlaces
-) -> int:
+def sampled(lines: WallLines, there: Bools, many: float, places: WallPlaces) -> int:
     """Choose places for the sum along a wall: all about points of stationary phase.
 
     Args:
-        lengths, slopes: (n) of the paths over lines along the wall [m]; there: (n) whether there are such paths.
-        step: from line to line [m]; many: places between two of them.
-        cut: no places where the path grows faster than this.
-        places: `WallPlaces` (n many) gets the places.
+        lines: `WallLines` (n).
+        there: (n) whether there are such paths.
+        many: places between two lines that are a step apart, where paths grow as they are long.
+        places: `WallPlaces` gets the places.
 
     Returns:
         How many places there are.
     """
     first, share, weights = places
+    slopes, rates, cuts = lines.slopes, lines.rates, lines.cuts
     count = 0
-    for i in range(len(lengths)):
-        j = (i + 1) % len(lengths)
+    for i in range(len(slopes)):
+        j = (i + 1) % len(slopes)
         least = min(abs(slopes[i]), abs(slopes[j])) if slopes[i] * slopes[j] > 0 else 0.0
+        cut = max(cuts[i], cuts[j])
         if not (there[i] and there[j] and least < cut):
             continue
-        for k in range(many):
-            part = (k + 0.5) / many
-            gone = abs(_between(lengths, slopes, i, part, step)[1]) / cut
+        parts = int(many * cut * max(abs(rates[i]), abs(rates[j]))) + 1
+        for k in range(parts):
+            part = (k + 0.5) / parts
+            gone = abs(_between(lines, i, part)[1]) / (cuts[i] + part * (cuts[j] - cuts[i]))
             if gone < 1:
                 first[count], share[count] = i, part
-                weights[count] = math.sin(math.pi * min(1 - gone, 0.5)) ** 2 * (step / many)
+                weights[count] = math.sin(math.pi * min(1 - gone, 0.5)) ** 2 * (lines.step / parts)
                 count += 1
     return count
 
 
 @lean(error_model="numpy")
 def summed(
-    lengths: Floats,
-    slopes: Floats,
-    step: float,
-    seen: Complexes,
-    places: WallPlaces,
-    values: Complexes,
-    paths: Floats,
-    rates: Floats,
+    lines: WallLines, seen: Complexes, places: WallPlaces, values: Complexes, paths: Floats, rates: Floats
 ) -> None:
     """Compute the contribution of each place along a wall.
 
     Args:
-        lengths, slopes, step: as in `sampled`.
+        lines: `WallLines` (n).
         seen: (n) contribution of each line.
         places: `WallPlaces` (m).
         values: (m) get the contributions; paths: (m) get their lengths [m]; rates: (m) get how fast these grow.
@@ -113,4 +118,4 @@ def summed(
     for i in range(len(first)):
         here, u = first[i], share[i]
         values[i] = (seen[here] * (1 - u) + seen[(here + 1) % len(seen)] * u) * weights[i]
-        paths[i], rates[i] = _between(lengths, slopes, here, u, step)
+        paths[i], rates[i] = _between(lines, here, u)

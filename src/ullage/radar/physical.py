@@ -49,9 +49,7 @@ from ullage.radar.planar import accumulate_planar
 from ullage.radar.quadrics import Quadric
 from ullage.radar.reflectors import PULL_M
 from ullage.radar.roughness import accumulate_diffuse_scatterers
-from ullage.radar.sphere_bounces import accumulate_inside
-from ullage.radar.wall_bodies import accumulate_wall_bodies
-from ullage.radar.wall_bounces import accumulate_walls
+from ullage.radar.walls import accumulate_inside, accumulate_walls
 from ullage.radar.wire_bounces import accumulate_wire_bounces
 from ullage.radar.wires import Lines, placed
 from ullage.specs import MOST_BOUNCES, RadarSpec
@@ -199,8 +197,6 @@ def _accumulate_curved_bounces(
     """Adds what goes from wall to wall of a round tank or a ball, to bodies in it, between these, over flats too."""
     out = accumulate_walls(context, parts, quadrics, planar, antennas, most, sizes, grids)
     out += accumulate_inside(context, parts, antennas, most, grids)
-    if len(quadrics) > 1:
-        out += accumulate_wall_bodies(context, parts, quadrics, planar, antennas, most, sizes, grids)
     return out + accumulate_fermat(context, parts, quadrics, planar, antennas, most, sizes, grids)
 
 
