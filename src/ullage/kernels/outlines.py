@@ -136,6 +136,14 @@ def _weight(rows: Floats, k: int, at: int, lit: LitFaces, face: int, tap: int) -
     return gain * _reflection(lit.reflection.gamma, lit.materials[face], tap, cosine, share, both), cosine
 
 
+@lean(fastmath=True, error_model="numpy")
+def weigh(points: Floats, lit: LitFaces, out: Complexes) -> None:
+    """Write antenna gains times reflection times cos(incidence) at points (n, 3), each on a face of its own (n)."""
+    for i in range(len(points)):
+        value, cosine = _weight(points, i, 0, lit, i, 0)
+        out[i] = value * cosine
+
+
 @core(fastmath=True, error_model="numpy")
 def accumulate_line(
     grids: Complexes, w0: complex, w1: complex, x0: float, x1: float, bow: float, place0: float, place1: float

@@ -21,15 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fresnel
 
-from ullage.antenna import gain
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.radar.context import AntennaPair, RadarContext, transmission_to
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
-from ullage.radar.mirrors import across, dot
 from ullage.radar.quadrics import Quadric
-from ullage.radar.reflected_paths import accumulate
+from ullage.radar.reflected_paths import accumulate, scattered
 
 NODES, SHARES = np.polynomial.legendre.leggauss(4)
 PANEL_M = 0.025
@@ -37,7 +35,6 @@ PANEL_M = 0.025
 _PULL_M = 4e-3  # distance of visibility rays from strips and their ends [m]
 _LEAST_M = 0.05  # least distance to a wall for rays [m]
 _AT_SPECULAR = 1e-2  # Fresnel argument below which an end counts as at the specular point
-_WHOLE_RAD = 1e-3  # half of a gap between strips that counts as closed
 _THIN = 1e-4  # phase [rad] below which a sliver counts as flat
 _SIDES = np.array([0, -1, 1])
 _PAIRS = ("ends", "caps")  # rows of lines that are (2, n)
@@ -59,8 +56,6 @@ class Lines:
     depth: Floats  # (n) of the arc over its chord [m]
     pull: Floats  # (n) distance in front of the strip at which the wall itself hides nothing [m]
     strips: Longs  # (n) index of the strip, over all walls
-    walls: Longs  # (n) index of the wall
-    sealed: Bools  # (n) whether flat caps close the wall completely at both ends
     object_ids: Longs  # (n) object
 
     def some(self, which: NDArray[np.generic] | slice) -> Lines:
@@ -112,7 +107,7 @@ def accumulate_cylinder_corrections(
     lines = lines_of(quadrics, wavelength / 2, float(np.sqrt(wavelength * context.gate[1] / 2)))
     if lines is None:
         return []
-    places = _places(antennas, lines, ~context.transmissive.thin, 2 * context.gate[1])
+    places = _places(antennas, lines, 2 * context.gate[1])
     if not len(places.rows):
         return []
     places, between = _free(context, parts, antennas, lines, places)
@@ -128,7 +123,6 @@ def lines_of(quadrics: tuple[Quadric, ...], narrowest: float, widest: float) -> 
     first = np.cumsum([0, *(one.strips.max() + 1 for one in made)])
     rows = {row.name: np.concatenate([getattr(one, row.name) for one in made], axis=-1 if row.name in _PAIRS else 0)
             for row in fields(Lines)}  # fmt: skip
-    rows["walls"] = np.repeat(np.arange(len(made)), [len(one.strips) for one in made])
     rows["strips"] = np.concatenate([one.strips + k for one, k in zip(made, first[:-1], strict=True)])
     return Lines(**rows)
 
@@ -148,13 +142,7 @@ def _lines(wall: Quadric) -> Lines:
     return Lines(wall.centre + at @ wall.axes[:2], axes, inward, np.cross(inward, axes),
                  np.stack([low, high])[:, strips], caps.T[:, strips], aside, (chord / panels)[strips], chord[strips],
                  (wall.radius * (1 - np.cos(half)))[strips], (wall.depth + _PULL_M) * each, strips,
-                 np.zeros(len(strips), np.int64), np.full(len(strips), _sealed(wall)),
                  np.full(len(strips), wall.object_id))  # fmt: skip
-
-
-def _sealed(wall: Quadric) -> bool:
-    """Return whether strips close the circle, and flat caps end on all of them."""
-    return bool(len(wall.caps) and (wall.caps == 1).all() and wall.strips[:, 1].sum() > np.pi - _WHOLE_RAD)
 
 
 def _left(paths: Floats) -> Floats:
@@ -162,8 +150,8 @@ def _left(paths: Floats) -> Floats:
     return np.asarray(paths[:, ::-1] * [-1, 1])
 
 
-def _places(antennas: AntennaPair, lines: Lines, opaque: Bools, most: float) -> Places:
-    """Find the places on lines with two-way paths of at most `most` [m]; `opaque` (o) names opaque objects."""
+def _places(antennas: AntennaPair, lines: Lines, most: float) -> Places:
+    """Find the places on lines with two-way paths of at most `most` [m]."""
     gaps = antennas.origins[:, None] - lines.at
     climb, inside = _dots(gaps, lines.axes), _dots(gaps, lines.inward) > 0
     apart = np.sqrt(np.maximum(_dots(gaps, gaps) - climb**2, _LEAST_M**2))
@@ -173,10 +161,8 @@ def _places(antennas: AntennaPair, lines: Lines, opaque: Bools, most: float) -> 
     within = np.hypot(apart, ahead).sum(1) < most
     within[0] &= (lines.ends[0] <= specular) & (specular < lines.ends[1])
     level = (ahead[1:, 0] * ahead[1:, 1] > 0) & (lines.caps != 0)
-    past_end = ahead[1:, 0] * _SIDES[1:, None] < 0
-    out = lines.sealed & opaque[lines.object_ids] & _any_of_wall(~inside.any(0) | past_end.any(0), lines.walls)
-    wall, row = np.nonzero(within & (inside[0] == inside[1]) & ~(out & inside[0]))
-    cap, outline = np.nonzero(within[1:] & level & ~(out & ~past_end))
+    wall, row = np.nonzero(within & (inside[0] == inside[1]))
+    cap, outline = np.nonzero(within[1:] & level)
     group, row = np.concatenate([wall, cap + 1]), np.concatenate([row, outline])
     return Places(row, _SIDES[group], np.arange(len(row)) >= len(wall), heights[group, row])
 
@@ -188,12 +174,6 @@ def _spots(antennas: AntennaPair, lines: Lines, places: Places) -> Spots:
     ranges = np.maximum(np.sqrt(_dots(paths, paths)), _LEAST_M)
     paths /= ranges[..., None]
     return Spots(some, places, points, paths, ranges, _dots(paths, some.axes), -_dots(paths, some.inward))
-
-
-def _any_of_wall(some: Bools, walls: Longs) -> Bools:
-    """Return for lines (n), sorted by wall, whether `some` is true of any line of the same wall."""
-    first = np.flatnonzero(np.diff(walls, prepend=-1))
-    return np.asarray(np.repeat(np.logical_or.reduceat(some, first), np.diff(first, append=len(walls))))
 
 
 def _free(
@@ -228,11 +208,8 @@ def _echoes_of(
     value = _across_chord(spots, wave)
     value[:caps] *= _along(spots, wave)
     value *= 1j / (4 * np.pi) * antennas.factor * transmission * np.exp(1j * wave * extra)
-    value *= _gains(context, antennas, spots.paths) / spots.ranges.prod(0)
-    cosine = np.where(flat, spots.upward, spots.outward)
     normals = np.where(flat[:, None], lines.axes, lines.inward)
-    cosine = abs(cosine).mean(0)
-    value *= cosine * reflection(context, antennas, lines.object_ids, cosine, spots.paths, normals)
+    value *= scattered(context, antennas, lines.object_ids, spots.points, normals) / spots.ranges.prod(0)
     delay = (spots.ranges.sum(0) + extra) / C0 + late
 
     def put(value: Complexes, grids: Complexes) -> Complexes:
@@ -246,12 +223,6 @@ def _echoes_of(
         put(value * factors, others)
 
     return EchoSet(lines.object_ids.astype(np.int32), spots.points, put(value, grids), delay, again)
-
-
-def _gains(context: RadarContext, antennas: AntennaPair, paths: Floats) -> Floats:
-    """Multiply the gains of both antennas towards directions (2, m, 3)."""
-    one = gain(context.spec.antenna, paths[0] @ antennas.frames[0].T)
-    return one * (one if _one_place(antennas) else gain(context.spec.antenna, paths[1] @ antennas.frames[1].T))
 
 
 def _extra_length(spots: Spots) -> Floats:
@@ -310,53 +281,3 @@ def _across_chord(spots: Spots, wave: float) -> Complexes:
 def _dots(a: Floats, b: Floats) -> Floats:
     """Products (..., n) of vectors (..., n, 3)."""
     return np.asarray(np.einsum("...i,...i->...", a, b))
-
-
-def _one_place(antennas: AntennaPair) -> bool:
-    """Return whether both antennas share position and orientation."""
-    return antennas.monostatic and bool((antennas.frames[0] == antennas.frames[1]).all())
-
-
-def reflection(
-    context: RadarContext, antennas: AntennaPair, object_ids: Longs, cosine: Floats, paths: Floats, inward: Floats
-) -> Complexes:
-    """Compute reflection coefficients (n), weighted by the power of the field across the plane of incidence.
-
-    Args:
-        context: radar and scene.
-        antennas: pose of the radar.
-        object_ids: (n) objects.
-        cosine: (n) of incidence.
-        paths: (2, n, 3) unit vectors from both antennas.
-        inward: (n, 3) normals.
-    """
-    rows = context.bounce[object_ids, 0]
-    places = np.minimum(cosine, 1.0) * (rows.shape[2] - 1)
-    low = np.minimum(places.astype(np.int64), rows.shape[2] - 2)
-    up, each = places - low, np.arange(len(low))
-    te, tm = (rows[each, k, low] * (1 - up) + rows[each, k, low + 1] * up for k in range(2))
-    if not antennas.alike:
-        share, both = (sum(rows) / 2 for rows in zip(*(_products(antennas, u, inward) for u in paths), strict=True))
-        return np.asarray(share * te + (both - share) * tm)
-    share = _te_share(antennas.fields[0], paths[0], inward)
-    if not _one_place(antennas):
-        share = (share + _te_share(antennas.fields[1], paths[1], inward)) / 2
-    return np.asarray(share * te + (1 - share) * tm)
-
-
-def _products(antennas: AntennaPair, paths: Floats, normals: Floats) -> tuple[Floats, Floats]:
-    """Compute what `kernels.facets.te_share` does for two polarisations, of many paths (n, 3) and normals (n, 3)."""
-    sent, received = (across(np.broadcast_to(field, paths.shape), paths) for field in antennas.fields)
-    side, both = np.cross(paths, normals), dot(sent, received)
-    square = dot(side, side)
-    return np.where(square < 1e-12, both / 2, dot(sent, side) * dot(received, side) / np.maximum(square, 1e-12)), both
-
-
-def _te_share(field: Floats, paths: Floats, normals: Floats) -> Floats:
-    """Compute the TE share (n) of a field's power, for waves along (n, 3) at faces with normals (n, 3)."""
-    x, y, z = field
-    side = normals @ np.array(
-        [[0, -z, y], [z, 0, -x], [-y, x, 0]]
-    )  # times the direction: the component across field and normal
-    square = (1 - _dots(paths, normals) ** 2) * (1 - (paths @ field) ** 2)
-    return np.where(square < 1e-12, 0.5, np.minimum(_dots(paths, side) ** 2 / np.maximum(square, 1e-12), 1.0))

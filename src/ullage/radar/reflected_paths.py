@@ -11,7 +11,9 @@ from scipy.special import fresnel
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.kernels import impulses as kernel
+from ullage.kernels.facets import LitFaces
 from ullage.kernels.fermat import CYLINDER
+from ullage.kernels.outlines import weigh
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
@@ -111,6 +113,17 @@ def reflection_gains(context: RadarContext, antennas: AntennaPair, path: Reflect
     paths = kernel.ReflectedPaths(corners, normals, np.ascontiguousarray(path.reflectors.object_ids[path.on]))
     scratch = kernel.FieldScratch(np.empty((2, 3)), np.empty(3, complex))
     kernel.polarised(paths, context.bounce, context.antennas(antennas), scratch, out)
+    return out
+
+
+def scattered(
+    context: RadarContext, antennas: AntennaPair, object_ids: Longs, points: Floats, normals: Floats
+) -> Complexes:
+    """Compute the products (n) of antenna gains, reflection and cos(incidence) at points (n, 3) of surfaces [m]."""
+    lit = LitFaces(np.ascontiguousarray(normals), object_ids.astype(np.int32), context.antennas(antennas),
+                   context.reflection._replace(gamma=context.bounce))  # fmt: skip
+    out = np.empty(len(points), complex)
+    weigh(points, lit, out)
     return out
 
 

@@ -15,14 +15,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from ullage.antenna import gain
 from ullage.arrays import Bools, Complexes, Floats
 from ullage.geometry import C0
 from ullage.radar.context import AntennaPair, RadarContext, transmission_to
-from ullage.radar.cylinder_correction import reflection
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
-from ullage.radar.reflected_paths import accumulate
+from ullage.radar.reflected_paths import accumulate, scattered
 from ullage.radar.reflectors import PULL_M
 from ullage.radar.spheres import Sphere
 
@@ -178,14 +176,9 @@ def _ring_ranges(low: float, high: float) -> Floats:
 def _integrand(context: RadarContext, antennas: AntennaPair, part: SpherePart, points: Floats) -> Complexes:
     """Compute the integrand (n, m) at points (n, m, 3) of a sphere, without the phase of the two-way path [1/m2]."""
     flat = points.reshape(-1, 3)
-    paths = flat - antennas.origins[:, None]
-    ranges = np.linalg.norm(paths, axis=2)
-    paths /= ranges[..., None]
-    inward = (part.sphere.centre - flat) / part.sphere.radius
-    cosine = abs((paths * inward).sum(2)).mean(0)
-    value = cosine * reflection(context, antennas, np.full(len(flat), part.sphere.object_id), cosine, paths, inward)
-    for direction, frame, far in zip(paths, antennas.frames, ranges, strict=True):
-        value *= gain(context.spec.antenna, direction @ frame.T) / far
+    ranges = np.linalg.norm(flat - antennas.origins[:, None], axis=2)
+    inward, ids = (part.sphere.centre - flat) / part.sphere.radius, np.full(len(flat), part.sphere.object_id)
+    value = scattered(context, antennas, ids, flat, inward) / ranges.prod(0)
     if (antennas.origins[0] != antennas.origins[1]).any():
         one = np.linalg.norm(flat - antennas.origins.mean(0), axis=1)
         value *= np.exp(-2j * np.pi / context.spec.wavelength_m * (ranges.sum(0) - 2 * one))

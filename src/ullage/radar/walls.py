@@ -235,9 +235,8 @@ def lines_over(
     found.normals[at - before] = -out
     if before:
         return _with_rays(wall, rays, ends[0], kinds, found, slope)
-    near = np.full(count, 1 / max((1 / least).sum(), 1e-12))
-    return Lines(kinds, found.corners, found.normals, found.lengths, slope, np.ones(count), found.spreads.astype(complex),
-                 found.bends, near)  # fmt: skip
+    spread, near = found.spreads.astype(complex), np.full(count, 1 / max((1 / least).sum(), 1e-12))
+    return Lines(kinds, found.corners, found.normals, found.lengths, slope, np.ones(count), spread, found.bends, near)
 
 
 def _count(wall: Quadric, bodies: tuple[Quadric, ...], ends: Floats) -> int:
