@@ -14,11 +14,10 @@ chords and arcs are added, so that the end of the wall and the rim of the cap co
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from ullage.arrays import Bools, Complexes, Floats, Longs
@@ -37,19 +36,17 @@ _LEAST_M = 0.05  # least distance to a wall for rays [m]
 _AT_SPECULAR = 1e-2  # Fresnel argument below which an end counts as at the specular point
 _THIN = 1e-4  # phase [rad] below which a sliver counts as flat
 _SIDES = np.array([0, -1, 1])
-_PAIRS = ("ends", "caps")  # rows of lines that are (2, n)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Lines:
+class Lines(NamedTuple):
     """Lines along the axes of walls on the chords of strips, each for a panel of its strip."""
 
     at: Floats  # (n, 3) points of the lines at the middle of their wall [m]
     axes: Floats  # (n, 3) unit vectors along them
     inward: Floats  # (n, 3) unit vectors to the axis, square to the strip
     left: Floats  # (n, 3) unit vectors across both
-    ends: Floats  # (2, n) begin and end of the strip along the line, from that point [m]
-    caps: Floats  # (2, n) flat cap at each end: 1, around a hole -1, none 0
+    ends: Floats  # (n, 2) begin and end of the strip along the line, from that point [m]
+    caps: Floats  # (n, 2) flat cap at each end: 1, around a hole -1, none 0
     aside: Floats  # (n) offset from the middle of the chord, as a share of half the chord
     half: Floats  # (n) half of a panel's width [m]
     chord: Floats  # (n) half of the strip's [m]
@@ -58,14 +55,8 @@ class Lines:
     strips: Longs  # (n) index of the strip, over all walls
     object_ids: Longs  # (n) object
 
-    def some(self, which: NDArray[np.generic] | slice) -> Lines:
-        """Select some of the lines."""
-        return Lines(*(getattr(self, row.name)[..., which] if row.name in _PAIRS else getattr(self, row.name)[which]
-                       for row in fields(self)))  # fmt: skip
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Places:
+class Places(NamedTuple):
     """Points on lines that contribute: the specular points and the ends of strips of walls, then the ends of caps."""
 
     rows: Longs  # (m) the line of each
@@ -73,13 +64,8 @@ class Places:
     flat: Bools  # (m) whether the point belongs to a flat cap, not to the wall
     heights: Floats  # (m) position along the line [m]
 
-    def some(self, which: NDArray[np.generic]) -> Places:
-        """Select some of the places."""
-        return Places(self.rows[which], self.side[which], self.flat[which], self.heights[which])
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Spots:
+class Spots(NamedTuple):
     """Places with their directions and distances from both antennas."""
 
     lines: Lines  # (m) the line of each
@@ -121,10 +107,8 @@ def lines_of(quadrics: tuple[Quadric, ...], narrowest: float, widest: float) -> 
     if not made:
         return None
     first = np.cumsum([0, *(one.strips.max() + 1 for one in made)])
-    rows = {row.name: np.concatenate([getattr(one, row.name) for one in made], axis=-1 if row.name in _PAIRS else 0)
-            for row in fields(Lines)}  # fmt: skip
-    rows["strips"] = np.concatenate([one.strips + k for one, k in zip(made, first[:-1], strict=True)])
-    return Lines(**rows)
+    numbered = [one._replace(strips=one.strips + k) for one, k in zip(made, first[:-1], strict=True)]
+    return Lines(*(np.concatenate(rows) for rows in zip(*numbered, strict=True)))
 
 
 def _lines(wall: Quadric) -> Lines:
@@ -140,7 +124,7 @@ def _lines(wall: Quadric) -> Lines:
     each = np.ones(len(strips))
     axes, inward = each[:, None] * wall.axes[2], -outward @ wall.axes[:2]
     return Lines(wall.centre + at @ wall.axes[:2], axes, inward, np.cross(inward, axes),
-                 np.stack([low, high])[:, strips], caps.T[:, strips], aside, (chord / panels)[strips], chord[strips],
+                 np.stack([low, high], 1)[strips], caps[strips], aside, (chord / panels)[strips], chord[strips],
                  (wall.radius * (1 - np.cos(half)))[strips], (wall.depth + _PULL_M) * each, strips,
                  np.full(len(strips), wall.object_id))  # fmt: skip
 
@@ -156,11 +140,11 @@ def _places(antennas: AntennaPair, lines: Lines, most: float) -> Places:
     climb, inside = _dots(gaps, lines.axes), _dots(gaps, lines.inward) > 0
     apart = np.sqrt(np.maximum(_dots(gaps, gaps) - climb**2, _LEAST_M**2))
     specular = climb[0] + (climb[1] - climb[0]) * apart[0] / apart.sum(0)
-    heights = np.stack([specular, *lines.ends])
+    heights = np.stack([specular, *lines.ends.T])
     ahead = heights[:, None] - climb
     within = np.hypot(apart, ahead).sum(1) < most
-    within[0] &= (lines.ends[0] <= specular) & (specular < lines.ends[1])
-    level = (ahead[1:, 0] * ahead[1:, 1] > 0) & (lines.caps != 0)
+    within[0] &= (lines.ends[:, 0] <= specular) & (specular < lines.ends[:, 1])
+    level = (ahead[1:, 0] * ahead[1:, 1] > 0) & (lines.caps.T != 0)
     wall, row = np.nonzero(within & (inside[0] == inside[1]))
     cap, outline = np.nonzero(within[1:] & level)
     group, row = np.concatenate([wall, cap + 1]), np.concatenate([row, outline])
@@ -168,7 +152,7 @@ def _places(antennas: AntennaPair, lines: Lines, most: float) -> Places:
 
 
 def _spots(antennas: AntennaPair, lines: Lines, places: Places) -> Spots:
-    some = lines.some(places.rows)
+    some = Lines(*(row[places.rows] for row in lines))
     points = some.at + places.heights[:, None] * some.axes
     paths = points - antennas.origins[:, None]
     ranges = np.maximum(np.sqrt(_dots(paths, paths)), _LEAST_M)
@@ -185,7 +169,7 @@ def _free(
     """
     flat, strips = places.flat, lines.strips[places.rows]
     first = np.flatnonzero((np.diff(2 * strips + flat, prepend=-1) != 0) | (np.diff(places.side, prepend=-9) != 0))
-    one, at = places.some(first), places.rows[first]
+    one, at = Places(*(row[first] for row in places)), places.rows[first]
     axes, inward, pull = lines.axes[at], lines.inward[at], lines.pull[at]
     points = lines.at[at] + one.heights[:, None] * axes
     paths = points - antennas.origins[0]
@@ -196,7 +180,7 @@ def _free(
     )
     back = np.repeat(np.arange(len(first)), np.diff(first, append=len(flat)))
     free = np.flatnonzero(transmission[back])
-    return places.some(free), (transmission[back[free]], late[back[free]])
+    return Places(*(row[free] for row in places)), (transmission[back[free]], late[back[free]])
 
 
 def _echoes_of(
@@ -270,7 +254,7 @@ def _across_chord(spots: Spots, wave: float) -> Complexes:
     lean = 2 * lines.depth / lines.chord * aside.sum(0) / np.where(flat, 1.0, outward)
     bulge = (1 + across * lean) * arc - 1  # including the change of the cosine by the slope of the arc
     if flat.any():
-        hole = np.where(spots.places.side > 0, lines.caps[1], lines.caps[0])
+        hole = np.where(spots.places.side > 0, lines.caps[:, 1], lines.caps[:, 0])
         rise = 1j * wave * outward * deep
         thin = abs(rise) < _THIN
         bulge = np.where(flat, hole * deep * np.where(thin, 1 - rise / 2, (1 - arc) / np.where(thin, 1, rise)), bulge)

@@ -40,13 +40,12 @@ from ullage.radar.curves import accumulate_curves
 from ullage.radar.cylinder_correction import accumulate_cylinder_corrections
 from ullage.radar.echo_set import EchoSet, centroids, echo_set
 from ullage.radar.edge_diffraction import accumulate_edges
-from ullage.radar.facets import PlanarPatches, Surfaces, joined
+from ullage.radar.facets import Surfaces, joined
 from ullage.radar.fermat import accumulate_fermat
 from ullage.radar.multipath import accumulate_bounces, apparent_sizes
 from ullage.radar.patch_echoes import accumulate_curved
-from ullage.radar.paths import PathSet, paths_of
+from ullage.radar.paths import paths_of
 from ullage.radar.planar import accumulate_planar
-from ullage.radar.quadrics import Quadric
 from ullage.radar.reflectors import PULL_M
 from ullage.radar.roughness import accumulate_diffuse_scatterers
 from ullage.radar.walls import accumulate_inside, accumulate_walls
@@ -112,10 +111,9 @@ def accumulate(
         if len(part.corners):
             out.append(_accumulate_small(context, parts, part, antennas, grids, small))
         out += accumulate_planar(context, parts, part, antennas, grids, large)
-    quadrics, corrections = context.world.quadrics_at(poses), []
-    if quadrics:
-        corrections = accumulate_cylinder_corrections(context, parts, quadrics, antennas, grids)
-        out += corrections
+    quadrics = context.world.quadrics_at(poses)
+    corrections = accumulate_cylinder_corrections(context, parts, quadrics, antennas, grids) if quadrics else []
+    out += corrections
     if not context.plain:
         out += accumulate_creeping(context, parts, antennas, poses, grids)
     for lines in (context.lines,) if context.plain else (context.lines, rods(context)):
@@ -129,13 +127,19 @@ def accumulate(
         planar = joined([part.planar for part in parts])
         sizes = apparent_sizes(context, planar, antennas)
         out += accumulate_bounces(context, parts, planar, antennas, max_bounces, sizes, grids)
-        loud = grids.sum(0) if corrections else grids  # corrections rise with f, and only the sum is an echo
-        if not planar.smooth.all() and (len(context.lines) or _curved(parts, planar)):
+        # corrections rise with f, and only the sum is an echo
+        peak = float(abs(grids.sum(0) if corrections else grids).max())
+        curved = bool(planar.smooth.any()) or any(len(part.corners) for part in parts)
+        if not planar.smooth.all() and (len(context.lines) or curved):
             paths = paths_of(context, planar, antennas, max_bounces, sizes)
-            peak = float(abs(loud).max())
-            out += _accumulate_over(context, parts, planar, antennas, poses, paths, peak, grids)
+            if curved:
+                out += accumulate_curves(context, parts, planar, antennas, paths, peak, grids)
+            if len(context.lines):
+                out += accumulate_wire_bounces(context, parts, planar, antennas, poses, paths, grids)
         if quadrics:
-            out += _accumulate_curved_bounces(context, parts, quadrics, planar, antennas, max_bounces, sizes, grids)
+            out += accumulate_walls(context, parts, quadrics, planar, antennas, max_bounces, sizes, grids)
+            out += accumulate_inside(context, parts, antennas, max_bounces, grids)
+            out += accumulate_fermat(context, parts, quadrics, planar, antennas, max_bounces, sizes, grids)
     return out
 
 
@@ -156,48 +160,6 @@ def _off(parts: list[Surfaces], antennas: AntennaPair) -> AntennaPair:
                 gap = float(normals[p] @ origins[s] - offsets[p])
                 origins[s] += ((LEAST_M if gap > -1e-9 else -LEAST_M) - gap) * normals[p]
     return antennas if origins is antennas.origins else replace(antennas, origins=origins)
-
-
-def _curved(parts: list[Surfaces], planar: PlanarPatches) -> bool:
-    """Return whether any surface is curved."""
-    return bool(planar.smooth.any()) or any(len(part.corners) for part in parts)
-
-
-def _accumulate_over(
-    context: RadarContext,
-    parts: list[Surfaces],
-    planar: PlanarPatches,
-    antennas: AntennaPair,
-    poses: Floats | None,
-    paths: PathSet,
-    peak: float,
-    grids: Complexes,
-) -> list[EchoSet]:
-    """Add the echoes of curved surfaces and wires over flat faces.
-
-    `peak` is the greatest sum so far: what is far weaker is left out.
-    """
-    curved = _curved(parts, planar)
-    out = accumulate_curves(context, parts, planar, antennas, paths, peak, grids) if curved else []
-    return out + (
-        accumulate_wire_bounces(context, parts, planar, antennas, poses, paths, grids) if len(context.lines) else []
-    )
-
-
-def _accumulate_curved_bounces(
-    context: RadarContext,
-    parts: list[Surfaces],
-    quadrics: tuple[Quadric, ...],
-    planar: PlanarPatches,
-    antennas: AntennaPair,
-    most: int,
-    sizes: Floats,
-    grids: Complexes,
-) -> list[EchoSet]:
-    """Adds what goes from wall to wall of a round tank or a ball, to bodies in it, between these, over flats too."""
-    out = accumulate_walls(context, parts, quadrics, planar, antennas, most, sizes, grids)
-    out += accumulate_inside(context, parts, antennas, most, grids)
-    return out + accumulate_fermat(context, parts, quadrics, planar, antennas, most, sizes, grids)
 
 
 def _accumulate_wires(
