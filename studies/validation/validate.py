@@ -15,11 +15,14 @@ from ullage.arrays import Complexes, Floats
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, apply, matrix_quat, quat_matrix, transform
+from ullage.kernels import outlines as draw
+from ullage.kernels.edges import CutLimits, FaceOutlines
 from ullage.pipeline import LOGGER
-from ullage.radar.context import antenna_pair, radar_context
+from ullage.radar.context import AntennaPair, RadarContext, antenna_pair, radar_context
 from ullage.radar.explain import contributions
-from ullage.radar.multipath import image_lengths
+from ullage.radar.multipath import EXCESS_M, apparent_sizes, beams_of
 from ullage.radar.physical import echoes, path_gain_cw
+from ullage.radar.planar import cut_outlines
 from ullage.radar.walls import accumulate_walls, ball_lines, sampled, summed
 from ullage.specs import RadarSpec
 from ullage.world import scenes
@@ -204,6 +207,31 @@ def tank_and_drum_pulses(
     ours = [gain_over_wall(scene, pose, radar().but(center_hz=f), 3 if twice else 2) for f in hz]
     want = [oracles.tank_and_drum(wall, (*drum[:2], body), np.array(place), f, twice=twice) for f in hz]
     return delayed @ np.array(ours), delayed @ np.array(want) / np.sqrt(2 * ranges)
+
+
+def image_lengths(context: RadarContext, antennas: AntennaPair, order: int) -> Floats:
+    """Compute the lengths there and back [m] of all mirror paths of one order between flat faces, without shadows."""
+    planar = context.world.still.planar
+    gate = np.array(context.gate[1:])
+    if order == 1:
+        on = np.arange(len(planar), dtype=np.int64)
+        asked = np.ones(len(on), np.bool_)
+        first, starts, ends = planar.first, planar.starts, planar.ends
+        origins = antennas.origins[None]
+    else:
+        beams = beams_of(context, planar, antennas, order, apparent_sizes(context, planar, antennas))
+        on, first = beams.ends_on, beams.first
+        asked = (beams.chains >= 0).sum(1) == order - 1
+        starts, ends = np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])
+        origins = np.stack([beams.images, np.broadcast_to(antennas.origins[1], beams.images.shape)], 1)
+    normals, offsets, spheres = planar.normals[on], planar.offsets[on], planar.spheres[on]
+    which = np.flatnonzero(asked)
+    faces = FaceOutlines(spheres, normals, offsets, first, starts, ends)
+    follow = CutLimits(gate, EXCESS_M, context.pulse.omega, False)
+    outline = cut_outlines(which, faces, origins, antennas.aside, follow)
+    points = np.empty((len(which), 9))
+    count = draw.crossings(which, outline.windings, normals, offsets, origins, gate, points)
+    return np.sort(points[:count, 3])
 
 
 def rooms() -> Iterator[Row]:

@@ -24,7 +24,7 @@ def mirrors(normals, table):
 
 
 def scratch():
-    return bounces.ReflectScratch(np.empty((3, 3)), np.empty(3, complex))
+    return bounces.ReflectScratch(np.empty((2, 3)), np.empty(3, complex))
 
 
 def reflected(paths, chains, ends_on, normals, table, fields):

@@ -5,9 +5,9 @@ import pytest
 
 import ullage as ul
 from studies.validation.rows import radar
+from studies.validation.validate import image_lengths
 from ullage.geometry import C0
 from ullage.radar.context import antenna_pair, radar_context
-from ullage.radar.multipath import image_lengths
 from ullage.radar.planar import accumulate_planar
 from ullage.radar.pulse import envelope
 

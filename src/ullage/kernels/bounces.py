@@ -39,7 +39,7 @@ class Orientations(NamedTuple):
 class ReflectScratch(NamedTuple):
     """Scratch of `reflect`."""
 
-    units: Floats  # (3, 3)
+    units: Floats  # (2, 3)
     field: Complexes  # (3)
 
 
@@ -271,7 +271,7 @@ def reflect(
     """
     normals, object_ids, gamma, fields = mirrors.normals, mirrors.object_ids, mirrors.gamma, antennas.fields
     units, field = scratch
-    unit, start, taken = units[0], units[1], units[2]
+    unit, taken = units[0], units[1]
     for i in range(len(paths)):
         if factor[i] == 0:
             continue
@@ -290,9 +290,7 @@ def reflect(
         for k in range(3):
             imaged.fields[i, 1, k] = imaged.fields[i, 0, k]  # `factor` holds the polarisation
         unit_to(paths[i, first], paths[i, first + 1], unit)
-        field_across(fields[0], unit, start)
-        for k in range(3):
-            field[k] = start[k]
+        field_across(fields[0], unit, field)
         for step in range(count + 1):
             face = chains[i, step] if step < count else ends_on[i]
             unit_to(paths[i, first + step], paths[i, first + step + 1], unit)

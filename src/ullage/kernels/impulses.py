@@ -46,9 +46,7 @@ def polarised(
     for i in range(len(out)):
         unit_to(corners[0, i], corners[1, i], direction)
         gain = toward(table, flat, frames, ONE, FROM, direction[0], direction[1], direction[2])
-        field_across(fields[0, 0], direction, taken)
-        for k in range(3):
-            field[k] = taken[k]
+        field_across(fields[0, 0], direction, field)
         for s in range(len(normals)):
             reflect_field(gamma, object_ids[s, i], normals[s, i], direction, field)
             unit_to(corners[s + 1, i], corners[s + 2, i], direction)

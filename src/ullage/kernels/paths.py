@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
-from ullage.kernels.bounces import Mirrors, Orientations, reflect_field
+from ullage.kernels.bounces import Mirrors, Orientations, count_mirrors, reflect_field
 from ullage.kernels.edges import mirror
 from ullage.kernels.lit import spot as shortest
 from ullage.kernels.loops import core, lean
@@ -212,9 +212,7 @@ def _stops(i: int, side: int, point: Floats, paths: MirrorPaths, flat: FlatFaces
         passed outside its outline.
     """
     faces, images, normals, offsets = paths.faces, paths.images, flat.normals, flat.offsets
-    count = 0
-    while count < 2 and faces[i, side, count] >= 0:
-        count += 1
+    count = count_mirrors(faces[i, side])
     for k in range(3):
         out[0, k] = images[i, side, 0, k]
         out[count + 1, k] = point[k]
@@ -298,18 +296,11 @@ def _followed(stops: Floats, faces: Longs, field: Floats, mirrors: Mirrors, last
     """
     normals, object_ids, widths = mirrors.normals, mirrors.object_ids, mirrors.widths
     wavelength, gamma = mirrors.wavelength_m, mirrors.gamma
-    count, total, before, cover = 0, 0.0, 0.0, 1.0
-    while count < 2 and faces[count] >= 0:
-        count += 1
+    count, total, before, cover = count_mirrors(faces), 0.0, 0.0, 1.0
     for step in range(count + 1):
         total += unit_to(stops[step], stops[step + 1], last)
     size = unit_to(stops[0], stops[1], last)
-    along = field[0] * last[0] + field[1] * last[1] + field[2] * last[2]
-    square = 0.0
-    for k in range(3):
-        square += (field[k] - along * last[k]) ** 2
-    for k in range(3):
-        wave[k] = (field[k] - along * last[k]) / max(math.sqrt(square), 1e-9)
+    field_across(field, last, wave)
     for step in range(count):
         p = faces[step]
         before += size

@@ -24,13 +24,13 @@ def unit_to(a: Floats, b: Floats, out: Floats) -> float:
 
 
 @core(error_model="numpy")
-def field_across(field: Floats, direction: Floats, out: Floats) -> None:
+def field_across(field: Floats, direction: Floats, out: Floats | Complexes) -> None:
     """Write the unit field across a direction of travel to `out`."""
-    along = field[0] * direction[0] + field[1] * direction[1] + field[2] * direction[2]
-    square = 0.0
+    along, square = field[0] * direction[0] + field[1] * direction[1] + field[2] * direction[2], 0.0
     for k in range(3):
-        out[k] = field[k] - along * direction[k]
-        square += out[k] * out[k]
+        part = field[k] - along * direction[k]
+        out[k] = part
+        square += part * part
     for k in range(3):
         out[k] /= max(math.sqrt(square), 1e-9)
 

@@ -152,7 +152,7 @@ def _places(antennas: AntennaPair, lines: Lines, most: float) -> Places:
 
 
 def _spots(antennas: AntennaPair, lines: Lines, places: Places) -> Spots:
-    some = Lines(*(row[places.rows] for row in lines))
+    some = Lines._make(row[places.rows] for row in lines)
     points = some.at + places.heights[:, None] * some.axes
     paths = points - antennas.origins[:, None]
     ranges = np.maximum(np.sqrt(_dots(paths, paths)), _LEAST_M)
@@ -169,7 +169,7 @@ def _free(
     """
     flat, strips = places.flat, lines.strips[places.rows]
     first = np.flatnonzero((np.diff(2 * strips + flat, prepend=-1) != 0) | (np.diff(places.side, prepend=-9) != 0))
-    one, at = Places(*(row[first] for row in places)), places.rows[first]
+    one, at = Places._make(row[first] for row in places), places.rows[first]
     axes, inward, pull = lines.axes[at], lines.inward[at], lines.pull[at]
     points = lines.at[at] + one.heights[:, None] * axes
     paths = points - antennas.origins[0]
@@ -180,7 +180,7 @@ def _free(
     )
     back = np.repeat(np.arange(len(first)), np.diff(first, append=len(flat)))
     free = np.flatnonzero(transmission[back])
-    return Places(*(row[free] for row in places)), (transmission[back[free]], late[back[free]])
+    return Places._make(row[free] for row in places), (transmission[back[free]], late[back[free]])
 
 
 def _echoes_of(

@@ -193,7 +193,7 @@ def _accumulate(
     imaged = bounces.Orientations(np.empty((many, 2, 3, 3)), np.empty((many, 2, 3)))
     bounces.reflect(
         path, beams.chains, on, context.mirrors(planar), bounces.Orientations(antennas.frames, antennas.fields), factor,
-        imaged, bounces.ReflectScratch(np.empty((3, 3)), np.empty(3, complex)),
+        imaged, bounces.ReflectScratch(np.empty((2, 3)), np.empty(3, complex)),
     )  # fmt: skip
     strong = strengths(context, planar, antennas, beams, path, factor)
     factor *= shares(context, planar, antennas, beams, path, strong, lambda *asked: clear(parts, *asked))
@@ -241,28 +241,3 @@ def clear(parts: list[Surfaces], path: Floats, wanted: Floats) -> Bools:
     count = bounces.stretches(path, wanted, starts, ends, owner)
     out[owner[:count][~between(parts, starts[:count], ends[:count])]] = False
     return np.asarray(out)
-
-
-def image_lengths(context: RadarContext, antennas: AntennaPair, order: int) -> Floats:
-    """Compute the lengths there and back [m] of all mirror paths of one order between flat faces, without shadows."""
-    planar = context.world.still.planar
-    gate = np.array(context.gate[1:])
-    if order == 1:
-        on = np.arange(len(planar), dtype=np.int64)
-        asked = np.ones(len(on), np.bool_)
-        first, starts, ends = planar.first, planar.starts, planar.ends
-        origins = antennas.origins[None]
-    else:
-        beams = beams_of(context, planar, antennas, order, apparent_sizes(context, planar, antennas))
-        on, first = beams.ends_on, beams.first
-        asked = (beams.chains >= 0).sum(1) == order - 1
-        starts, ends = np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])
-        origins = _radars(antennas, beams)
-    normals, offsets, spheres = planar.normals[on], planar.offsets[on], planar.spheres[on]
-    which = np.flatnonzero(asked)
-    faces = FaceOutlines(spheres, normals, offsets, first, starts, ends)
-    follow = CutLimits(gate, EXCESS_M, context.pulse.omega, False)
-    outline = cut_outlines(which, faces, origins, antennas.aside, follow)
-    points = np.empty((len(which), 9))
-    count = draw.crossings(which, outline.windings, normals, offsets, origins, gate, points)
-    return np.sort(points[:count, 3])
