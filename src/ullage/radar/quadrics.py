@@ -277,26 +277,23 @@ def _strips(points: Floats, centre: Floats, area: Floats) -> Floats:
     return np.array(out).reshape(-1, 4)
 
 
-def sphere_through(points: Floats) -> tuple[Floats, Floats] | None:
-    """Fit a sphere to points (n, 3) by least squares: its centre and the points' distances (n) from it [m].
+def sphere_through(points: Floats) -> tuple[Floats, float, float]:
+    """Fit a sphere to points (n, 3) by least squares: centre, radius and largest spread of the distances from it [m].
 
-    Returns None where the points do not determine a sphere, such as points of one plane.
+    The spread is infinite where the points do not determine a sphere, such as points of one plane.
     """
     middle = points.mean(0)
     equations = np.column_stack([2 * (points - middle), np.ones(len(points))])
     (x, y, z, _), *_, rank, _ = np.linalg.lstsq(equations, ((points - middle) ** 2).sum(1), rcond=1e-9)
     centre = middle + np.array([x, y, z])
-    return (centre, np.linalg.norm(points - centre, axis=1)) if rank == 4 else None
+    away = np.linalg.norm(points - centre, axis=1)
+    return (centre, float(away.mean()), float(np.ptp(away))) if rank == 4 else (np.zeros(3), 0.0, np.inf)
 
 
 def _fit_sphere(corners: Floats, normals: Floats, area: Floats, object_id: int) -> Quadric | None:
     """Fit a sphere to triangles (n, 3, 3), if they lie on one."""
-    fit = sphere_through(corners.reshape(-1, 3))
-    if fit is None:
-        return None
-    centre, away = fit
-    whole = 4 * np.pi * away.mean() ** 2
-    if np.ptp(away) > 2 * OFF_M or away.mean() < LEAST_M or area.sum() < _MOST * whole:
+    centre, mean, off = sphere_through(corners.reshape(-1, 3))
+    if off > 2 * OFF_M or mean < LEAST_M or area.sum() < _MOST * 4 * np.pi * mean**2:
         return None
     out = corners.mean(1) - centre
     if (abs((out * normals).sum(1)) < _BENT * np.linalg.norm(out, axis=1)).any():
@@ -304,7 +301,7 @@ def _fit_sphere(corners: Floats, normals: Floats, area: Floats, object_id: int) 
     gaps = np.linalg.norm((corners + np.roll(corners, 1, 1)) / 2 - centre, axis=2)
     radius = float(np.sum(area * gaps.mean(1)) / area.sum())
     sides = np.linalg.norm(np.roll(corners, 1, 1) - corners, axis=2)
-    depth = float(max(away.max() - radius, radius - gaps.min()))
+    depth = float(max(np.linalg.norm(corners - centre, axis=2).max() - radius, radius - gaps.min()))
     if depth > _DEEP * radius:
         return None
     return Quadric(

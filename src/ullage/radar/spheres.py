@@ -71,13 +71,10 @@ def balls_of(surfaces: Sequence[SmoothSurface]) -> tuple[Sphere, ...]:
     """Find the whole spheres of any radius among smooth surfaces."""
     out = []
     for surface in surfaces:
-        centre, radius, off = _fit_sphere(surface.corners.reshape(-1, 3))
-        local = surface.corners - centre
-        depth = radius - float(abs(np.einsum("ni,ni->n", local[:, 0], surface.normals)).min())
-        round_ = max(off, depth) < _FLAT * radius and off < 2 * OFF_M
-        if round_ and abs(_solid_angles(local).sum() / (4 * np.pi) - 1) < _WHOLE:
-            widest = float(np.linalg.norm(np.roll(local, -1, 1) - local, axis=2).min(1).max())
-            out.append(Sphere(centre, radius, depth, widest, surface.object_id, np.zeros((0, 4)), surface.faces))
+        ball, off = _through(surface)
+        round_ = max(off, ball.depth) < _FLAT * ball.radius and off < 2 * OFF_M
+        if round_ and abs(_solid_angles(surface.corners - ball.centre).sum() / (4 * np.pi) - 1) < _WHOLE:
+            out.append(ball)
     return tuple(out)
 
 
@@ -88,7 +85,7 @@ def _grow_domes(surface: SmoothSurface) -> list[Sphere]:
     for seed in np.linspace(0, len(middles) - 1, _SEEDS).astype(np.int64):
         mine = np.flatnonzero(np.linalg.norm(middles - middles[seed], axis=1) < _PATCH * sides[seed].max())
         for _ in range(2):  # fit the first few facets, then all facets near that sphere
-            centre, radius, off = _fit_sphere(surface.corners[mine].reshape(-1, 3))
+            centre, radius, off = sphere_through(surface.corners[mine].reshape(-1, 3))
             if not open_[seed] or off > _TRUE_M:
                 break
             on = (abs(np.linalg.norm(surface.corners - centre, axis=2) - radius) < _TRUE_M).all(1) & open_
@@ -103,31 +100,27 @@ def _grow_domes(surface: SmoothSurface) -> list[Sphere]:
     return found
 
 
-def _fit_sphere(points: Floats) -> tuple[Floats, float, float]:
-    """Fit a sphere to points (n, 3): centre, radius and largest spread of the distances [m]."""
-    fit = sphere_through(points)
-    if fit is None:
-        return np.zeros(3), 0.0, np.inf
-    centre, away = fit
-    return centre, float(away.mean()), float(np.ptp(away))
+def _through(surface: SmoothSurface) -> tuple[Sphere, float]:
+    """Return the sphere through the corners of a surface, and the largest spread of their distances [m]."""
+    centre, radius, off = sphere_through(surface.corners.reshape(-1, 3))
+    local = surface.corners - centre
+    depth = radius - float(abs(np.einsum("ni,ni->n", local[:, 0], surface.normals)).min())
+    widest = float(np.linalg.norm(np.roll(local, 1, 1) - local, axis=2).min(1).max())
+    return Sphere(centre, radius, depth, widest, surface.object_id, np.zeros((0, 4)), surface.faces), off
 
 
 def _fit_whole(surface: SmoothSurface) -> Sphere | None:
     """Fit a sphere or dome to a whole surface, if it is one."""
-    centre, radius, off = _fit_sphere(surface.corners.reshape(-1, 3))
-    if off > 2 * OFF_M or radius < LEAST_M:
+    sphere, off = _through(surface)
+    radius, local = sphere.radius, surface.corners - sphere.centre
+    if off > 2 * OFF_M or radius < LEAST_M or sphere.depth > _DEEP * radius:
         return None
-    local = surface.corners - centre
-    sides = np.linalg.norm(np.roll(local, 1, 1) - local, axis=2)
-    depth = radius - float(abs(np.einsum("ni,ni->n", local[:, 0], surface.normals)).min())
     caps = _openings(local)
-    if caps is None or depth > _DEEP * radius or (caps[:, 3] < -radius).any():
+    if caps is None or (caps[:, 3] < -radius).any():
         return None
     share = 1 - ((1 - caps[:, 3] / radius) / 2).sum()
     filled = _solid_angles(local).sum() / (4 * np.pi)
-    if share < _LEAST_SHARE or abs(filled - share) > _WHOLE * share:
-        return None
-    return Sphere(centre, radius, depth, float(sides.min(1).max()), surface.object_id, caps, surface.faces)
+    return replace(sphere, caps=caps) if share >= _LEAST_SHARE and abs(filled - share) <= _WHOLE * share else None
 
 
 def _openings(local: Floats) -> Floats | None:
