@@ -852,23 +852,30 @@ def _tabulate(done: Sweep, metrics: list[str]) -> None:
 
 @app.command(hidden=True)
 def device(
-    kind: Annotated[str, typer.Argument(help="x4 or mrm.")],
+    kind: Annotated[str, typer.Argument(help="x4, mrm or acconeer.")],
     pty: Annotated[bool, typer.Option("--pty", help="x4: on a pseudo terminal, which is its only place.")] = False,
-    port: Annotated[int, typer.Option("--port", help="mrm: UDP port on this computer; 0: a free one.", min=0)] = 21210,
+    port: Annotated[
+        int | None, typer.Option("--port", help="mrm, acconeer: on this computer; 0: a free one; none: its own.", min=0)
+    ] = None,
     faults: Annotated[str, typer.Option("--faults", help="loss, duplicate, late, garbage, with commas.")] = "",
 ) -> None:
     """Simulate a radar instrument, until Ctrl-C.
 
-    It answers its protocol, for a try of x4: and mrm: without hardware.
+    It answers its protocol, for a try of x4:, mrm: and acconeer: without hardware.
     """
-    from ullage.ports.instruments.simulated import SimulatedMrm, SimulatedX4, faults_of
+    from ullage.ports.instruments import acconeer, mrm
+    from ullage.ports.instruments.simulated import Simulated, SimulatedA121, SimulatedMrm, SimulatedX4, faults_of
 
-    if kind not in ("x4", "mrm") or (pty and kind == "mrm"):
-        raise InputError(f"no instrument {kind!r}{' --pty' * pty}", where="device", allowed="x4 --pty, mrm")
     given = faults_of(faults)
-    simulated = SimulatedX4(given) if kind == "x4" else SimulatedMrm(port, given)
-    place = simulated.path if isinstance(simulated, SimulatedX4) else simulated.address
-    typer.echo(f"a simulated instrument, no hardware: ullage run {kind}:{place}")
+    if kind == "x4":
+        simulated: Simulated = SimulatedX4(given)
+    elif kind == "mrm" and not pty:
+        simulated = SimulatedMrm(mrm.PORT if port is None else port, given)
+    elif kind == "acconeer" and not pty:
+        simulated = SimulatedA121(acconeer.PORT if port is None else port, given)
+    else:
+        raise InputError(f"no instrument {kind!r}{' --pty' * pty}", where="device", allowed="x4 --pty, mrm, acconeer")
+    typer.echo(f"a simulated instrument, no hardware: ullage run {kind}:{simulated.address}")
     try:
         simulated.wait()
     except KeyboardInterrupt:

@@ -336,6 +336,10 @@ class RadarSpec(Spec):
         "x4m05": {},
         "x4m05-8ghz": {"name": "x4m05-8ghz", "center_hz": 8.748e9, "bandwidth_hz": 1.5e9},
         "x4m300": {"name": "x4m300", "frame_area_offset_m": 0.18},
+        "a121": {  # profile 3, a bin of 24 steps of 2.5 mm [AcconeerET]
+            "name": "a121", "center_hz": 60.5e9, "bandwidth_hz": 1.218e9, "sampling_hz": 19.986e9, "bins": 80,
+            "range_start_m": 0.2, "fps": 20.0, "iterations": 1, "pulses_per_step": 32, "own_echo_m": 0.0, "noise": None,
+        },
     }  # fmt: skip
 
     @classmethod

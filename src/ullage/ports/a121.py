@@ -8,7 +8,7 @@ takes rising phase for rising distance; here it falls (-4 pi range / wavelength)
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +59,20 @@ def read_sessions(path: Path, *, mount: MountSpec | None = None) -> dict[str, Fr
         what = f"no subsweep of {LEAST_BINS} points or more"
         raise InputError(what, where=path, allowed="an A121 recording of range profiles")
     return out
+
+
+def subsweep_fields(one: Mapping[str, Any], base_m: float) -> dict[str, Any]:
+    """Return the fields of a RadarSpec that a subsweep settles.
+
+    Args:
+        one: start point, step length, profile and hwaas, as the exploration tool names them.
+        base_m: range of one step [m].
+    """
+    return {
+        "name": "a121", "center_hz": CENTER_HZ, "bandwidth_hz": BAND * C0 / WIDTH_M[one["profile"]],
+        "decimation": DECIMATION, "sampling_hz": DECIMATION * C0 / (2 * base_m * int(one["step_length"])),
+        "range_start_m": base_m * int(one["start_point"]), "iterations": 1, "pulses_per_step": int(one["hwaas"]),
+    }  # fmt: skip
 
 
 def _tree(file: Any, name: str) -> Any:
@@ -116,10 +130,5 @@ class _Entry:
             if count < LEAST_BINS:
                 yield which, None
                 continue
-            bin_m = base_m * int(one["step_length"])
-            yield which, RadarSpec(
-                name="a121", center_hz=CENTER_HZ, bandwidth_hz=BAND * C0 / WIDTH_M[one["profile"]], bins=int(count),
-                decimation=DECIMATION, sampling_hz=DECIMATION * C0 / (2 * bin_m), fps=fps, own_echo_m=0.0,
-                range_start_m=base_m * int(one["start_point"]), mount=mount or MountSpec(),
-                iterations=1, pulses_per_step=int(one["hwaas"]),
-            )  # fmt: skip
+            spec = RadarSpec(own_echo_m=0.0, **subsweep_fields(one, base_m), bins=int(count), fps=fps)
+            yield which, spec.but(mount=mount) if mount else spec

@@ -48,6 +48,7 @@ LIVE = {
     "mavlink": Port("mavlink.source.open_source", "mavlink.sink.MavlinkSink"),
     "x4": Port("instruments.x4.open_source"),
     "mrm": Port("instruments.mrm.open_source"),
+    "acconeer": Port("instruments.acconeer.open_source"),
 }
 """Ports by scheme."""
 ADDED: tuple[plugins.Group, plugins.Group] = ("ullage.sources", "ullage.sinks")

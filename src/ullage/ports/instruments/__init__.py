@@ -1,1 +1,1 @@
-"""Radar instruments at hand: XeThru X4 modules on a serial line, and PulsON radars on UDP."""
+"""Radar instruments at hand: XeThru X4 modules on a serial line, PulsON radars on UDP, and Acconeer's A121."""

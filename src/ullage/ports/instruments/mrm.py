@@ -21,7 +21,7 @@ from pydantic import Field
 from ullage.data import Unit
 from ullage.errors import InputError
 from ullage.geometry import C0
-from ullage.ports.instruments.source import InstrumentOptions, InstrumentSource, Scan, split_options
+from ullage.ports.instruments.source import InstrumentOptions, InstrumentSource, Scan, host_and_port, split_options
 from ullage.ports.protocol import Source
 from ullage.ports.pulson import LEAD_S, PACKET, SCAN_INFO, STEP_S
 from ullage.specs import RadarSpec
@@ -78,10 +78,7 @@ class MrmRadar:
 
     def __init__(self, address: str, spec: RadarSpec, options: MrmOptions) -> None:
         self.place, self._options = f"mrm:{address}", options
-        host, _, port = address.partition(":")
-        if not host or (port and not (port.isdecimal() and 0 < int(port) < 65536)):
-            raise InputError(f"{address!r} is no address", where=self.place, allowed="mrm:HOST or mrm:HOST:PORT")
-        self._address = (host, int(port or PORT))
+        self._address = host_and_port(address, PORT, where=self.place, allowed="mrm:HOST or mrm:HOST:PORT")
         integration = round(math.log2(spec.pulses_per_step * spec.iterations))
         if not 6 <= integration <= 15 or 2**integration != spec.pulses_per_step * spec.iterations:
             pulses = spec.pulses_per_step * spec.iterations

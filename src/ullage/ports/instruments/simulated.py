@@ -1,10 +1,12 @@
-"""Instruments that are not there: an X4 module on a pseudo terminal and a PulsON 440 on UDP, for tests and newcomers.
+"""Instruments that are not there: an X4 module on a pseudo terminal, a PulsON 440 on UDP and an A121 on TCP.
 
-They answer their protocols byte by byte. Their echo is that of a sphere that swings in front of the radar.
+They answer their protocols byte by byte, for tests and newcomers. Their echo is that of a sphere that swings in front
+of the radar.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import struct
@@ -13,14 +15,15 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0
-from ullage.ports.instruments import mrm
+from ullage.ports.a121 import subsweep_fields
+from ullage.ports.instruments import acconeer, mrm
 from ullage.ports.instruments import x4_protocol as mcp
 from ullage.ports.pulson import LEAD_S, PACKET, SCAN_INFO, STEP_S
 from ullage.ports.x4 import DRIVER_C
@@ -36,6 +39,8 @@ SWING_M, SWINGS = 0.02, 34
 SPHERE_M = 3.0
 COUNTS = 1e8
 """Counts of a PulsON for a sample of 1."""
+PEAK, TICKS_HZ, CELSIUS = 1000.0, 1_000_000, 24
+"""Counts of the A121's strongest echo, its ticks in a second, and its temperature."""
 LATE_S, ROOM_S = 0.1, 2.0
 """How late a late frame comes, and for how much a serial line's buffer has room: 64 kB in Linux [s]."""
 
@@ -67,6 +72,9 @@ class Simulated(ABC):
     Args:
         faults: what befalls one frame in ten.
     """
+
+    address: str
+    """Where a driver finds it."""
 
     def __init__(self, faults: Sequence[Fault] = ()) -> None:
         self._faults, self._stop = tuple(faults), threading.Event()
@@ -135,7 +143,7 @@ class SimulatedX4(Simulated):
         super().__init__(faults)
         self._fd, slave = pty.openpty()
         tty.setraw(slave)
-        self.path = os.ttyname(slave)
+        self.address = self.path = os.ttyname(slave)
         os.close(slave)
         os.set_blocking(self._fd, False)
         self._unpacker = mcp.Unpacker()
@@ -277,3 +285,111 @@ class SimulatedMrm(Simulated):
         """End the thread and the socket."""
         super().close()
         self._socket.close()
+
+
+class SimulatedA121(Simulated):
+    """An exploration server with an A121 on a TCP port of this computer, `address` [AcconeerET].
+
+    Args:
+        port: 0 takes a free one.
+        faults: what befalls one frame in ten.
+        host: address of this computer.
+    """
+
+    def __init__(self, port: int = 0, faults: Sequence[Fault] = (), *, host: str = "127.0.0.1") -> None:
+        super().__init__(faults)
+        self._server = socket.create_server((host, port))
+        self.address = f"{host}:{self._server.getsockname()[1]}"
+        self._peer: socket.socket | None = None
+        self._came = b""
+        self.info = {"data_saturated": False, "frame_delayed": False, "calibration_needed": False}
+        """What each frame says of itself."""
+        self._spec = RadarSpec.preset("a121")
+        self._rows = swing(self._spec)  # compiles while nobody waits
+        self._thread.start()
+
+    def _answer(self, wait_s: float) -> None:
+        self._server.settimeout(max(wait_s, 0.001))
+        if self._peer is None:
+            try:
+                self._peer, self._came = self._server.accept()[0], b""
+            except TimeoutError:
+                return
+        self._peer.settimeout(max(wait_s, 0.001))
+        try:
+            came = self._peer.recv(4096)
+        except TimeoutError:
+            return
+        except OSError:
+            came = b""
+        if not came:
+            self._leave()
+        *lines, self._came = (self._came + came).split(b"\n")
+        for line in lines:
+            self._send([_line(self._reply(json.loads(line)))])
+
+    def _leave(self) -> None:
+        self._begin(None)
+        if self._peer is not None:
+            self._peer.close()
+            self._peer = None
+
+    def _reply(self, asked: dict[str, Any]) -> dict[str, Any]:
+        command = asked.get("cmd")
+        if command == "get_system_info":
+            info = {"rss_version": "a121-v1.0.0", "sensor": "a121", "sensor_count": 1, "ticks_per_second": TICKS_HZ}
+            return {"status": "ok", "system_info": info}
+        if command == "get_sensor_info":
+            return {"status": "ok", "sensor_info": [{"connected": True, "serial": "simulated"}]}
+        if command == "setup":
+            return self._set_up(asked["groups"][0][0]["config"])
+        if command == "start_streaming":
+            self.info["calibration_needed"] = False
+            self._begin(1 / self._spec.fps)
+            return {"status": "start"}
+        if command == "stop_streaming":
+            self._begin(None)
+            return {"status": "stop"}
+        return {"status": "error", "message": f"no command {command}"}
+
+    def _set_up(self, sensor: dict[str, Any]) -> dict[str, Any]:
+        one = sensor["subsweeps"][0]
+        if sensor["frame_rate"] * one["hwaas"] * one["num_points"] > 1e6:
+            return {"status": "error", "message": "the frame rate is too high for this sweep"}
+        named = one | {"profile": f"PROFILE_{one['profile']}"}
+        fields = subsweep_fields(named, acconeer.STEP_M) | {"bins": one["num_points"], "fps": sensor["frame_rate"]}
+        self._spec = RadarSpec.preset("a121", **fields)
+        self._rows = swing(self._spec)
+        points = self._spec.bins
+        about = {
+            "frame_data_length": points, "sweep_data_length": points, "subsweep_data_offset": [0],
+            "subsweep_data_length": [points], "calibration_temperature": CELSIUS, "max_sweep_rate": 1000.0,
+            "base_step_length_m": acconeer.STEP_M,
+        }  # fmt: skip
+        return {"status": "ok", "tick_period": round(TICKS_HZ / self._spec.fps), "metadata": [[about]]}
+
+    def _frame(self, number: int) -> list[bytes]:
+        row = self._rows[number % SWINGS] * (PEAK / (np.abs(self._rows).max() or 1.0))
+        pairs = np.round(np.stack([row.real, -row.imag], axis=1)).astype("<i2").tobytes()
+        info = self.info | {"tick": round(number * TICKS_HZ / self._spec.fps), "temperature": CELSIUS}
+        return [_line({"status": "ok", "result_info": [[info]], "payload_size": len(pairs)}) + pairs]
+
+    def _send(self, packets: Iterable[bytes]) -> None:
+        if self._peer is None:
+            return
+        self._peer.settimeout(ROOM_S)
+        try:
+            self._peer.sendall(b"".join(packets))
+        except OSError:
+            self._leave()
+
+    def close(self) -> None:
+        """End the thread and the connections."""
+        super().close()
+        self._leave()
+        self._server.close()
+
+
+def _line(values: dict[str, Any]) -> bytes:
+    """A message of the server: JSON on a line."""
+    return json.dumps(values).encode() + b"\n"

@@ -108,6 +108,18 @@ def split_options(kind: type[Any], values: dict[str, Any], preset: str, where: s
     return options, RadarSpec.preset(options.preset or preset, **changes)
 
 
+def host_and_port(address: str, port: int, *, where: str, allowed: str) -> tuple[str, int]:
+    """Split `HOST` or `HOST:PORT`; `port` is that of an instrument without one.
+
+    Raises:
+        InputError: it is no address.
+    """
+    host, _, given = address.partition(":")
+    if not host or (given and not (given.isdecimal() and 0 < int(given) < 65536)):
+        raise InputError(f"{address!r} is no address", where=where, allowed=allowed)
+    return host, int(given or port)
+
+
 class InstrumentClock:
     """Estimate this computer's time less the instrument's, and its drift, by a Kalman filter.
 
