@@ -4,8 +4,9 @@
 
 Each folder is a recording that `ul.open` reads, with a track. A calibration is *refused* by an error, *said* where its
 message or a warning names the kind of fault as suspected or unchecked, *right* where the offsets still are those of the
-undistorted recording, and SILENT else. Without --yaw the mount is unknown, so that every calibration says that axes and
-attitudes are unchecked; with it they are checked.
+undistorted recording, and SILENT else. What moves no pose by 5 cm, as a scale across a straight rail, is no fault of
+the offsets. Without --yaw the mount is unknown, so that every calibration says that axes and attitudes are unchecked;
+with it they are checked.
 """
 
 from __future__ import annotations
@@ -27,10 +28,11 @@ from ullage.errors import UllageError
 
 Moved = Callable[[ul.Trajectory], ul.Trajectory]
 RIGHT_S, RIGHT_M, SIGMAS = 0.02, 0.05, 3.0
-RATE, SCALE, AXES = (
+RATE, SCALE, AXES, ARM = (
     ("rate of the clock",),
     ("scale of the track",),
     ("axes", "the track may be", "cannot tell this track"),
+    ("the antenna seems to be",),
 )
 
 
@@ -121,8 +123,8 @@ DISTORTIONS = {
     "times 10 % long": Distortion(timed(1.1)),
     "times 2 s early": Distortion(timed(1.0, -2.0), (), -2.0),
     "track of the other recording": Distortion(scaled(1.0)),  # replaced in `main`
-    "tracked point 0.3 m ahead": Distortion(lever(0.3, 0, 0), (), 0.0),
-    "tracked point 0.3 m aside": Distortion(lever(0, 0.3, 0), (), 0.0),
+    "tracked point 0.3 m ahead": Distortion(lever(0.3, 0, 0), ARM, 0.0),
+    "tracked point 0.3 m aside": Distortion(lever(0, 0.3, 0), ARM, 0.0),
     "noise of 2 cm": Distortion(noisy, (), 0.0),
     "whole decimetres": Distortion(rounded, (), 0.0),
 }
@@ -142,6 +144,7 @@ def judged(frames: ul.Frames, fault: Distortion, whole: Calibration) -> tuple[st
             found = ul.calibrate(replace(frames, track=fault.moved(frames.track), poses=None)).calibration
         except UllageError as error:
             return "refused", str(error)
+    offset_s = 0.0 if fault.offset_s is None and _harmless(frames.track, fault) else fault.offset_s
     message = "; ".join([found.message, *(str(one.message) for one in warned)])
     said = (
         f"clock {found.t_offset_s:+.3f} +- {found.t_sigma_s:.3f} s, range {found.range_offset_m:+.3f} +- "
@@ -149,7 +152,16 @@ def judged(frames: ul.Frames, fault: Distortion, whole: Calibration) -> tuple[st
     )
     if any(word in message for word in fault.named):
         return "said", said
-    return ("right" if _right(found, whole, fault.offset_s) else "SILENT"), said
+    return ("right" if _right(found, whole, offset_s) else "SILENT"), said
+
+
+def _harmless(track: ul.Trajectory, fault: Distortion) -> bool:
+    """Whether it leaves times, attitudes and, but for a common offset, positions as they were."""
+    moved = fault.moved(track)
+    if len(moved) != len(track) or (moved.t_ns != track.t_ns).any() or (moved.quat_xyzw != track.quat_xyzw).any():
+        return False
+    away = moved.position - track.position
+    return bool(np.linalg.norm(away - away.mean(0), axis=1).max() < RIGHT_M)
 
 
 def _right(found: Calibration, whole: Calibration, offset_s: float | None) -> bool:

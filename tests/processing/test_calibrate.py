@@ -8,6 +8,10 @@ from ideal_points import frames_of_points
 import ullage as ul
 from ullage.errors import CalibrationError
 from ullage.geometry import rpy_quat
+from ullage.processing.bundle import Bundle
+from ullage.processing.calibrate import _elsewhere, _Prior, _refuse
+from ullage.processing.motion_match import Gains
+from ullage.processing.point_focus import ARM, PARAMETERS
 
 DATA = Path(__file__).parents[3] / "shared/data/pulson440"
 RAIL, FLIGHT = DATA / "rail_a", DATA / "flight_a"
@@ -269,6 +273,39 @@ def test_the_real_flight_finds_its_clock():
     place = source.reflectors()[0]
     image = ul.focus(survey, ul.Grid.covering([place - 0.4, place + 0.4], 0.01, z_m=float(place[2])))
     assert np.linalg.norm(image.peak_m - place) < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not RAIL.exists(), reason="the real rail recording is not here")
+@pytest.mark.filterwarnings("ignore:.*packets are missing:ullage.errors.UllageWarning")
+def test_the_real_rail_with_its_track_backwards_is_refused():
+    raw = ul.open(RAIL).frames()
+    known = raw.track
+    track = ul.Trajectory(known.t_ns[0] + (known.t_ns[-1] - known.t_ns)[::-1], known.position[::-1], known.quat_xyzw)
+    with pytest.raises(CalibrationError, match=r"do not follow the track .*log-likelihood of -\d+, and"):
+        ul.calibrate(replace(raw, track=track, poses=None))
+
+
+def test_a_track_that_explains_less_than_unknown_motion_is_refused():
+    modes, moving = ((1.0, 0.0, 1.0),), np.ones(30, bool)
+    cases = ((1.0, 500.0, True), (-1.0, 500.0, True), (-5.0, 500.0, False), (1.0, 100.0, False), (-5.0, np.inf, True))
+    for total, strongest, good in cases:  # -1: e^60 times less likely, were frames independent
+        gains = Gains(np.full((2, 30), total), moving, np.zeros((2, 3)))
+        if good:  # surveyed reflectors, with a strength of infinity, need no track that explains all echoes
+            _refuse("radar", gains, modes, 1.0, strongest)
+        else:
+            with pytest.raises(CalibrationError, match="do not follow the track"):
+                _refuse("radar", gains, modes, 1.0, strongest)
+
+
+@pytest.mark.parametrize(("arm_m", "seen"), [(0.05, False), (0.14, False), (0.16, True), (-0.2, True)])
+def test_an_antenna_three_sigma_from_its_mount_is_suspected(arm_m, seen):
+    theta, known = np.zeros(PARAMETERS), np.eye(PARAMETERS) * 1e-6
+    theta[ARM] = (0.01, arm_m, 0.0)
+    bundle = Bundle(theta, known, 1.0, ())
+    prior = _Prior(None, np.inf, 0.0, 0.02, 1.0, lever_sigma_m=0.05)
+    assert ("elsewhere on the body" in _elsewhere(bundle, prior)) == seen
+    assert not _elsewhere(bundle, replace(prior, lever_sigma_m=0.0))  # its place is exact, as the caller says
 
 
 @pytest.mark.slow

@@ -67,6 +67,17 @@ def test_the_scale_of_a_track_is_measured(recorded: ul.Frames, factor: float) ->
     assert (found.off > 8) == (factor != 1)
 
 
+@pytest.mark.parametrize(
+    ("factor", "words"), [(1.0, ""), (1.05, "do not decide the scale of the track along its length")]
+)
+def test_a_scale_of_one_axis_alone_is_said(recorded: ul.Frames, factor: float, words: str) -> None:
+    track = ul.Trajectory(recorded.track.t_ns, recorded.track.position * [1, factor, 1], recorded.track.quat_xyzw)
+    found = track_scale(replace(recorded, track=track), track, 0.01, np.array([-0.05]), np.zeros(1))
+    assert abs(found.scale - 1) < 0.01  # no scale of all axes fits better
+    assert found.words.endswith(words)
+    assert bool(found.words) == bool(words)
+
+
 def test_a_straight_track_without_range_zero_does_not_tell_its_scale() -> None:
     """Points at one distance: another range offset makes up for every scale."""
     t = np.arange(400) / 50.0

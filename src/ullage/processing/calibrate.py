@@ -52,7 +52,7 @@ LOCAL_M = 0.5  # half the part of the track from which scatterers are fitted fir
 DRAWN_S, RANGE_STEP_M, REDRAWN_M = 0.06, 0.06, 0.2
 TAIL, TAIL_M = 1e-5, 0.5  # share and width of the range prior's tail: cables get exchanged
 MOST_SPEED_M_S = 50.0
-CONTRADICTION = 3.0  # standard deviations between the floor's echo and the range offset
+CONTRADICTION = 3.0  # standard deviations: of the floor's echo from the range offset, of the antenna from its mount
 LEAST_GAIN = 200.0  # of the three most coherent points: 227 to 545 on real recordings, 175 with the track of another
 
 
@@ -426,7 +426,7 @@ def _settle(
         probability,
         modes,
         _thinned(clock.offset_s, clock.log_posterior),
-        message="" if places is not None else _unchecked(frames, track, best),
+        message="" if places is not None else _unchecked(frames, track, best, prior),
         estimates=estimates,
         covariance=covariance,
     )
@@ -460,8 +460,8 @@ def _sized(frames: Frames, track: Trajectory, found: Calibration, prior: _Prior)
     return replace(found, scale=size.scale, scale_sigma=size.sigma, message=said)
 
 
-def _unchecked(frames: Frames, track: Trajectory, best: _Focus) -> str:
-    """What the echoes say about the track's axes, and whether they show the rate of the clock."""
+def _unchecked(frames: Frames, track: Trajectory, best: _Focus, prior: _Prior) -> str:
+    """What the echoes say about the track's axes and the antenna, and whether they show the rate of the clock."""
     if best.found is None:
         return ""
     bundle, focus = best.found
@@ -472,7 +472,21 @@ def _unchecked(frames: Frames, track: Trajectory, best: _Focus) -> str:
     rate = (
         f"the rate of the clock is unchecked, and taken as right within {1e6 * RATE_SIGMA:g} ppm" if open_rate else ""
     )
-    return "; ".join(filter(None, (axes, rate)))
+    return "; ".join(filter(None, (axes, rate, _elsewhere(bundle, prior))))
+
+
+def _elsewhere(bundle: Bundle, prior: _Prior) -> str:
+    """What contradicts the antenna's place on the body: clock and lever arm trade, and the prior holds the arm back.
+
+    If the prior is true, its variance less that of the posterior is the variance of the posterior's mean [Kay1998].
+    """
+    if not prior.lever_sigma_m:
+        return ""
+    spread = np.sqrt(np.maximum(prior.lever_sigma_m**2 - np.diag(bundle.covariance)[ARM], LEAST_LEVER_SIGMA_M**2))
+    sigmas = float(np.max(np.abs(bundle.theta[ARM]) / spread))
+    if sigmas < CONTRADICTION:
+        return ""
+    return f"the antenna seems to be elsewhere on the body ({sigmas:.1f} sigma), which can mislead the clock"
 
 
 def _method(prior: _Prior, places: Floats | None, points: int) -> str:
@@ -486,13 +500,15 @@ def _refuse(
 ) -> None:
     """Raise where no mode is probable enough, or where echoes do not follow the track at the best one."""
     moving = gains.total.sum(0)[gains.moving]
-    if len(moving) < 20 or strongest < LEAST_GAIN:
+    least = -DISPERSION * DECISIVE  # below it a radar of unknown motion is decisively likelier than one on the track
+    unlike = np.isfinite(strongest) and moving.sum() < least
+    if len(moving) < 20 or strongest < LEAST_GAIN or unlike:
         raise CalibrationError(
             f"the echoes do not follow the track at any clock offset: at the best, {modes[0][0]:+.2f} s, it explains "
-            f"{int((moving > 0).sum())} of {len(moving)} frames in motion, and its three most coherent points have a "
-            f"log-likelihood of {strongest:.0f}",
+            f"{int((moving > 0).sum())} of {len(moving)} frames in motion with a log-likelihood of {moving.sum():.0f}, "
+            f"and its three most coherent points have one of {strongest:.0f}",
             where=sensor,
-            allowed=f"at least {LEAST_GAIN:.0f}; a track of the same flight, in motion while both record",
+            allowed=f"above {least:.0f}, and {LEAST_GAIN:.0f}; a track of the same flight, in motion while both record",
         )
     if probability < LEAST_PROBABILITY:
         others = ", ".join(f"{t:+.2f} s ({100 * p:.0f} %)" for t, _, p in modes[:3])

@@ -9,7 +9,7 @@ Mirrored or swapped axes keep every range. Only directions of echoes on the body
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +28,8 @@ FINER = 2.0  # shorter parts of the track to draw scatterers from than for offse
 MOST_STARTS, MOST_RANGES = 16, 16
 DISPERSION = 10.0  # of this evidence: between wrong scales the log-likelihood of scatterers drawn anew differs by 25
 OPEN = "the echoes do not decide the scale of the track"
+BROAD = 0.5  # extent of an axis over the longest from which on its own scale is checked
+PIECES = 200  # straight pieces that a track's length is measured in
 LINE = 0.1  # width of a track over its length below which directions round it, and so heights, are open
 STRAIGHT = 0.02  # share of a track's length below which its extent shows no direction
 TURNS = {
@@ -54,13 +56,17 @@ def track_scale(frames: Frames, track: Trajectory, clock_s: float, ranges_m: Flo
     likely = np.flatnonzero(log_prior > log_prior.max() - DECISIVE)
     open_zero = len(likely) == len(ranges_m)
     likely, zero_m = likely[:: max(1, len(likely) // MOST_RANGES)], float(ranges_m[log_prior.argmax()])
+
+    def evidence(stretch: Floats) -> float:
+        moved = Trajectory(track.t_ns, track.position @ stretch, track.quat_xyzw)
+        gain = _coherence(PointFocus(frames, moved, clock_s, finer=FINER), clock_s, ranges_m[likely], zero_m)
+        longer = _length(moved) / _length(track)  # as many samples at every scale
+        return float(max(gain / longer / DISPERSION + log_prior[likely]))
+
     found: dict[int, float] = {}
     for reach in REACHES:
         for k in set(range(-reach, reach + 1)) - set(found):
-            size = (1 + STEP) ** k
-            moved = Trajectory(track.t_ns, size * track.position, track.quat_xyzw)
-            gain = _coherence(PointFocus(frames, moved, clock_s, finer=FINER), clock_s, ranges_m[likely], zero_m)
-            found[k] = max(gain / size / DISPERSION + log_prior[likely])  # as many samples at every scale
+            found[k] = evidence((1 + STEP) ** k * np.eye(3))
         value, scale = np.array(list(found.values())), (1 + STEP) ** np.array(list(found), float)
         share = np.exp(value - value.max()) / np.exp(value - value.max()).sum()
         decided = share[list(found).index(0)] >= LEAST_PROBABILITY
@@ -72,11 +78,28 @@ def track_scale(frames: Frames, track: Trajectory, clock_s: float, ranges_m: Flo
         gain = _coherence(PointFocus(frames, track, clock_s, finer=FINER), clock_s, ranges_m, zero_m)
         off = float(value.max() - gain.max() / DISPERSION - log_prior.max())
     words = "" if decided else OPEN
-    extent = np.linalg.svd(track.position - track.position.mean(0), compute_uv=False)
+    extent, axes = np.linalg.svd(track.position - track.position.mean(0), full_matrices=False)[1:]
     if off > DECISIVE and open_zero and extent[1] < LINE * extent[0]:  # scatterers at other heights bend echoes alike
         off, words = 0.0, f"{OPEN}: they fit one {mean:.2f} times as large, or scatterers at other heights"
+    if decided and off <= DECISIVE and extent[1] > LINE * extent[0]:  # on a line, one scale is the other
+        words = _stretched(evidence, found[0], axes[extent > BROAD * extent[0]])
     sigma = float(np.sqrt(share @ (scale - mean) ** 2 + (STEP * mean) ** 2 / 12))
     return TrackScale(mean, sigma, off, words)
+
+
+def _stretched(evidence: Callable[[Floats], float], same: float, axes: Floats) -> str:
+    """What the echoes do not decide of the scales along the axes (q, 3) of a track, the longest first."""
+    for number, axis in enumerate(axes):
+        scales = (1 + STEP) ** np.array([k for k in range(-REACHES[0], REACHES[0] + 1) if k], float)
+        off = np.array([evidence(np.eye(3) + (scale - 1) * np.outer(axis, axis)) for scale in scales]) - same
+        if 1 / (1 + np.exp(off).sum()) < LEAST_PROBABILITY:
+            return f"{OPEN} {'across' if number else 'along'} its length"
+    return ""
+
+
+def _length(track: Trajectory) -> float:
+    """Length of a track [m], without the noise of its poses."""
+    return float(np.linalg.norm(np.diff(track.position[:: max(1, len(track) // PIECES)], axis=0), axis=1).sum())
 
 
 def _coherence(focus: PointFocus, clock_s: float, ranges_m: Floats, zero_m: float) -> Floats:
