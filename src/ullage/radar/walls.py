@@ -219,13 +219,15 @@ def lines_over(
     """
     kinds, at, bodies = np.array(walls), int(np.flatnonzero(walls)[-1]), () if body is None else (body,)
     before = sum(walls[:at])
-    count = (1 + before) * _count(wall, bodies, ends) if count is None else count
+    if count is None:  # close to a wall rays spread over all of it, and are as even as from afar
+        count = (1 + before) * min(_count(wall, bodies, ends), 2 * _FEWEST if before else _MOST)
     if before:
         rays, starts = _rays(wall, ends, before + 1, count)
         out, lines = _lines(wall, rays.points[-1])
     else:
         starts = ends[:1]
         out, lines = _even_lines(wall, count)
+    # rows of reflectors: where the paths start, where they end, the body, and the lines
     surfaces = joined([points_of(np.concatenate([starts, ends[1:]])), bodies_of(bodies), lines]).surfaces
     rows = np.empty((count, len(walls) - before + 2), np.int64)
     rows[:, 0], rows[:, -1] = np.arange(count) if before else 0, len(starts)
@@ -249,6 +251,7 @@ def _count(wall: Quadric, bodies: tuple[Quadric, ...], ends: Floats) -> int:
 
 @lru_cache(maxsize=32)
 def _even_lines(wall: Quadric, count: int) -> tuple[Floats, ReflectorSet]:
+    """Return `_lines` at equal steps around a wall."""
     angle = (np.arange(count) + 0.5) * (2 * np.pi / count)
     return _lines(wall, wall.radius * np.stack([np.cos(angle), np.sin(angle)], 1) @ wall.axes[:2])
 
@@ -383,6 +386,7 @@ def sampled(lines: Lines, radius: float, wave: float, there: Bools) -> kernel.Wa
 
 
 def _even(lines: Lines, radius: float, wave: float) -> kernel.WallLines:
+    """Return lines as kernels take them, with the greatest slopes that count for a wave number [1/m]."""
     cuts = np.minimum(np.sqrt(ZONES / (wave * lines.near)), 2.0)
     return kernel.WallLines(lines.length, lines.slope, lines.rate, cuts, 2 * np.pi * radius / len(cuts))
 
