@@ -237,11 +237,21 @@ def top(
 
 @app.command()
 def run(
-    source: Annotated[str, typer.Argument(help="Scenario name, scenario.yaml, world file, recording, or live port.")],
+    source: Annotated[
+        list[str],
+        typer.Argument(
+            help="Scenario name, scenario.yaml, world file, recording, or live port; or several instruments."
+        ),
+    ],
     do: Do = None,
     to: To = None,
     option: Options = None,
-    poses: Poses = None,
+    poses: Annotated[
+        str | None,
+        typer.Option(
+            "--poses", help="navigation, or radar for odometry; of instruments: a live port, as mavlink:PLACE"
+        ),
+    ] = None,
     law: LawOption = None,
     by_hand: ByHand = False,
     compare: Annotated[
@@ -258,23 +268,28 @@ def run(
 
     Take frames from SOURCE and make maps, images and detections of them.
     """
-    source = with_arguments(source, xacro or [])
-    repair(source)
+    first = with_arguments(source[0], xacro or [])
+    repair(first)
     from ullage.experiments.catalog import variant_name
     from ullage.experiments.comparison import fly_again, rival_scenario
+    from ullage.experiments.live_target import LiveTarget
     from ullage.experiments.source_resolution import check_target, make_run, tasks_of
     from ullage.pipeline import check_sink
     from ullage.view.progress import log, progress_bar
 
-    tasks, options, sinks = tasks_of(do), [*_posed(poses), *(option or [])], to or []
-    source = variant_name(source, law=law, by_hand=by_hand)
-    check_target(source)
+    port = poses if poses is not None and ":" in poses else ""
+    together = LiveTarget.of(source, port)
+    tasks, options, sinks = tasks_of(do), [*_posed(None if port else poses), *(option or [])], to or []
+    first = variant_name(first, law=law, by_hand=by_hand)
+    check_target(first)
     for target in sinks:
         check_sink(target)
-    rival = rival_scenario(source, compare, options=options) if compare is not None else None
-    warm_up(source, options, tasks, rival=rival)
+    rival = rival_scenario(first, compare, options=options) if compare is not None else None
+    warm_up(first, options, tasks, rival=rival)
     with progress_bar("getting ready", total=1.0) as bar:
-        job = make_run(source, tasks=tasks, options=options, out=out, force=force, progress=bar, log=log, to=sinks)
+        job = make_run(
+            together or first, tasks=tasks, options=options, out=out, force=force, progress=bar, log=log, to=sinks
+        )
     if rival is not None and compare is not None:
         job.rival = partial(fly_again, rival, compare)
     total = job.flown.duration_s if job.flown is not None and not job.live else None

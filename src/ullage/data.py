@@ -532,6 +532,16 @@ def joined(parts: Sequence[Frames]) -> Frames:
     )
 
 
+def makes_room(kept: list[Frames], part: Frames) -> bool:
+    """Whether a piece is to be kept beside others: joined, one without poses would take them from all.
+
+    Pieces without poses are cleared as soon as one with poses comes.
+    """
+    if part.poses is not None and kept and kept[-1].poses is None:
+        kept.clear()
+    return part.poses is not None or not kept or kept[-1].poses is None
+
+
 def gathered(pieces: Iterable[Mapping[str, Frames]]) -> dict[str, Frames]:
     """Pieces of a recording of several sensors, in order of time, as one Frames of each by name."""
     parts: dict[str, list[Frames]] = {}

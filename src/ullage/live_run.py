@@ -234,21 +234,23 @@ class LiveLoop:
         thread = threading.Thread(target=self._receive, name="ullage receiving", daemon=True)
         with _short_turns(), StopFlag(raises_at=3) as stop:
             thread.start()
-            while self._continues(stop):
-                before = self._received.is_set()
-                if (chunk := self._next()) is None:
-                    if before:
-                        break
-                    continue
-                for stage in self._later:
-                    for item in stage.update(chunk):
-                        self._publish(item)
-                self._done(chunk)
-                if progress is not None:
-                    progress(self._count.duration_s)
-                if on_lag is not None:
-                    on_lag(self.behind_s, self._backlog.lost)
-            self._end(thread)
+            try:
+                while self._continues(stop):
+                    before = self._received.is_set()
+                    if (chunk := self._next()) is None:
+                        if before:
+                            break
+                        continue
+                    for stage in self._later:
+                        for item in stage.update(chunk):
+                            self._publish(item)
+                    self._done(chunk)
+                    if progress is not None:
+                        progress(self._count.duration_s)
+                    if on_lag is not None:
+                        on_lag(self.behind_s, self._backlog.lost)
+            finally:  # an instrument must not go on for a run that was refused
+                self._end(thread)
             return self._finish()
 
     def _continues(self, stop: StopFlag) -> bool:

@@ -240,6 +240,12 @@ def _check_parts(kind: str, parts: Sequence[Any], methods: tuple[str, str]) -> N
             raise InputError(f"a {kind} is {shown(part)}", where="run", allowed=f"objects with {' and '.join(methods)}")
 
 
+def _placed(chunk: Chunk) -> Chunk:
+    """Return the frames that have poses: a live source of poses may pause."""
+    lacking = any(part.poses is None for part in chunk.values())
+    return {name: part for name, part in chunk.items() if part.poses is not None} if lacking else chunk
+
+
 def _give(item: Any, sinks: Sequence[Sink]) -> None:
     for sink in sinks:
         sink.write(item)
@@ -320,8 +326,9 @@ class MapStage:
         from ullage.processing.occupancy import COHERENT, Mapper
 
         # the first frames show the place of the vehicle, even if none is sound
-        sound = self.health.sound(chunk)
-        if not sound and self._mapper is not None:
+        sound = _placed(self.health.sound(chunk))
+        chunk = _placed(chunk)
+        if not chunk or (not sound and self._mapper is not None):
             return
         chunk = sound or chunk
         if self.own_echo is not None:
@@ -400,7 +407,7 @@ class ImageStage:
 
     def update(self, chunk: Chunk) -> Iterable[Image]:
         """Adds this piece; the image so far, where one is due."""
-        chunk = {name: part for name, part in chunk.items() if self.sensor in ("", name)}
+        chunk = {name: part for name, part in _placed(chunk).items() if self.sensor in ("", name)}
         if self.every_s is not None and self.own_echo is not None:
             self._add_early(chunk)
         for name, part in chunk.items():

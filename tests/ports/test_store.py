@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ullage as ul
@@ -37,3 +39,23 @@ def test_what_is_no_store_is_refused(tmp_path: Path) -> None:
     (tmp_path / "c.zarr" / "front" / "t_ns" / "zarr.json").unlink()
     with pytest.raises(ul.InputError, match="damaged"):
         ul.open(tmp_path / "c.zarr").frames()
+
+
+def test_poses_that_come_and_go_stay_with_their_frames(tmp_path: Path) -> None:
+    """A live source of poses may pause: each frame keeps its own pose, or none."""
+    whole = replace(some_frames(40), truth=None)
+    parts = [whole[a:b] for a, b in ((0, 5), (5, 20), (20, 28), (28, 40))]
+    given = [replace(part, poses=None) if number % 2 == 0 else part for number, part in enumerate(parts)]
+    for name in ("all.zarr", "all.mcap"):
+        with ul.sink(tmp_path / name) as sink:
+            for part in given:
+                sink.write({"front": part})
+        found = [piece["front"] for piece in ul.open(tmp_path / name).stream(16)]
+        assert sum(map(len, found)) == 40
+        for part in found:
+            rows = np.searchsorted(whole.t_ns, part.t_ns)
+            assert np.array_equal(part.samples, whole.samples[rows])
+            outside = ((rows < 5) | ((rows >= 20) & (rows < 28))).all()
+            assert (part.poses is None) == outside
+            if part.poses is not None:
+                assert np.array_equal(part.poses.position, whole.believed.position[rows])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ullage.arrays import Floats, Singles
-from ullage.data import Frames, joined
+from ullage.data import Frames, joined, makes_room
 from ullage.flow import Stage
 
 
@@ -80,7 +80,7 @@ class SampledFrames(Stage):
             stride, seen = self._stride.setdefault(name, 1), self._seen.get(name, 0)
             kept = self._kept.setdefault(name, [])
             rows = np.arange(-seen % stride, len(part), stride)
-            if len(rows):
+            if len(rows) and makes_room(kept, part):
                 kept.append(part[rows])  # a copy: a view would keep the whole chunk
             self._seen[name] = seen + len(part)
             while sum(map(len, self._kept[name])) > self.most:

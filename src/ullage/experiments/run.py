@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ullage.arrays import Floats
 from ullage.config import Scenario, Task
 from ullage.data import Metric, Trajectory
-from ullage.experiments.exploration import Exploration
 from ullage.experiments.folder import RunFolder
 from ullage.experiments.imaging import ImagePlane
 from ullage.experiments.inspection import ObjectOnMap
@@ -22,6 +22,9 @@ from ullage.processing.health import HealthMonitor
 from ullage.processing.own_echo import OwnEchoFilter
 from ullage.view.replay import MapHistory
 from ullage.world.scene import Scene
+
+if TYPE_CHECKING:
+    from ullage.experiments.exploration import Exploration
 
 
 @dataclass(frozen=True, slots=True)

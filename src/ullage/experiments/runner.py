@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from ullage.arrays import Floats
 from ullage.config import scenario_text
 from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError, UllageError
-from ullage.experiments.exploration import Exploration
 from ullage.experiments.folder import metric_tree, write_json, write_text
 from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
 from ullage.experiments.inspection import inspect, object_rows, place_of
@@ -39,6 +38,9 @@ from ullage.stop_signals import raise_if_stopped
 from ullage.view import figures, report_figures
 from ullage.world.scene import Scene
 from ullage.world.section import section
+
+if TYPE_CHECKING:
+    from ullage.experiments.exploration import Exploration
 
 Log = Callable[[str], None]
 LIVE_S = 0.2

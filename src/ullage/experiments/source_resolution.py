@@ -17,6 +17,7 @@ from ullage.data import Frames, Trajectory, gathered, sensors_of, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
 from ullage.experiments.folder import RunFolder
+from ullage.experiments.live_target import LiveTarget
 from ullage.experiments.radar_poses import RadarPoses
 from ullage.experiments.run import Run, of_scenario
 from ullage.experiments.simulated import Simulated, load_world, prepare, radars_and_world, waypoints_of
@@ -39,7 +40,7 @@ VEHICLE_M = 0.3  # assumed radius of a real radar's carrier, without a setting [
 
 
 def make_run(
-    target: str,
+    target: str | LiveTarget,
     *,
     tasks: tuple[Task, ...] | None = None,
     options: Sequence[str] = (),
@@ -54,7 +55,7 @@ def make_run(
     Then open the sinks and make a draft folder. All checks come before that.
 
     Args:
-        target: scenario name, scenario.yaml, world by name or file, recording, or live port.
+        target: scenario name, scenario.yaml, world by name or file, recording, or live port; or several instruments.
         tasks: what to do with the frames; None: those of the scenario, or all that the recording allows.
         options: `a.b=value` over the scenario.
         out: where run folders are made; None: ./runs.
@@ -66,14 +67,17 @@ def make_run(
     Raises:
         InputError: the target, an option or a sink cannot be used, or the run exists.
     """
-    check_target(target)
+    if isinstance(target, str):
+        check_target(target)
     for sink in to:
         check_sink(sink)
+    if isinstance(target, LiveTarget):
+        return _begin(_of_live(target, tasks, options, log), to, out)
     path = Path(target)
     address = Address.of(target)
     there = os.path.exists(path)  # false also of a name that no file can have
     if address and address.known and not there:
-        return _begin(_of_live(address, tasks, options, log), to, out)
+        return _begin(_of_live(LiveTarget((address,)), tasks, options, log), to, out)
     if (scenario := simulated_scenario(target, tasks=tasks, options=options)) is not None:
         scenario, scene = _with_flight(scenario, target, options, log) if is_world(target) else (scenario, None)
         RunFolder.of(scenario.name, scenario.digest, root=out).check_free(force=force)
@@ -244,7 +248,7 @@ def _of_recording(
 ) -> Run:
     check_options(options)
     source: Any = open_source(target)
-    first = next(iter(source.stream()), None)
+    first = _first_placed(source)
     if not first:
         raise InputError("no frames", where=target)
     rail = source if isinstance(source, RailSource) else None
@@ -273,6 +277,16 @@ def _of_recording(
     marks = None if rail is None else rail.reflectors()
     return Run(NOWHERE, scenario, source, flown=flown, marks=marks, settled=survey is not None, tasks=scenario.do,
                odometry=odometry)  # fmt: skip
+
+
+def _first_placed(source: Any) -> dict[str, Frames]:
+    """Return the first piece in which all frames have poses; else the first of all."""
+    first: dict[str, Frames] = {}
+    for piece in source.stream():
+        if piece and all(part.poses is not None or part.track is not None for part in piece.values()):
+            return dict(piece)
+        first = first or piece
+    return first
 
 
 def _odometry(source: Any, scenario: Scenario, target: str) -> RadarPoses:
@@ -313,7 +327,7 @@ class Begun:
 
 
 def _of_live(
-    address: Address,
+    target: LiveTarget,
     tasks: tuple[Task, ...] | None,
     options: Sequence[str],
     log: Callable[[str], None],
@@ -323,15 +337,17 @@ def _of_live(
     Where nothing is to be made of frames, none are waited for: a port may have only messages to pass on.
     """
     check_options(options)
-    source: Any = address.open("source")
-    place = f"{address.scheme}:{address.place}"
-    log(f"{'passing on what comes from' if tasks == () else 'waiting for the first frames from'} {place} (Ctrl-C ends)")
+    rig = make_scenario({"name": "any"}, options=options).sensing.rig if is_set_by(options, "sensing.rig") else ""
+    source: Any = target.open(rig)
+    log(
+        f"{'passing on what comes from' if tasks == () else 'waiting for the first frames from'} {target} (Ctrl-C ends)"
+    )
 
     def plan(usual: tuple[Task, ...]) -> Scenario:
-        tree: dict[str, Any] = {"name": _of_now(address.scheme), "do": usual, "title": f"Live from {place}"}
+        tree: dict[str, Any] = {"name": _of_now(target.kind), "do": usual, "title": f"Live from {target}"}
         return make_scenario(tree, options=options)
 
-    return _begun(source, place, tasks, plan)
+    return _begun(source, str(target), tasks, plan)
 
 
 def _of_now(kind: str) -> str:
@@ -358,6 +374,7 @@ def _begun(
         if wait and not begun.first:
             raise InputError("no frames came", where=place)
         flown = next((part.poses for part in begun.first.values() if part.poses is not None), None)
+        flown = source.trajectory() if flown is None else flown  # the first frames may be from before the first pose
         usual: tuple[Task, ...] = ("detect",) if flown is None else ("detect", "map")
         scenario = plan(usual if tasks is None else tasks)
     except BaseException:
@@ -506,5 +523,5 @@ def _track(source: Any) -> Trajectory | None:
     """The poses of the first sensor, all of them."""
     first = next(iter(source.stream()))
     name = next(iter(first))
-    paths: list[Trajectory | None] = [chunk[name].poses for chunk in source.stream() if name in chunk]
-    return strung(paths)
+    paths = [path for chunk in source.stream() if name in chunk and (path := chunk[name].poses) is not None]
+    return strung(paths) if paths else None

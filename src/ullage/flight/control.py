@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from ullage.arrays import Floats
 from ullage.flight.airframe import GRAVITY_M_S2, Airframe
@@ -65,6 +64,8 @@ def air(wind_m_s: Floats, gust_m_s: float, *, count: int, rate_hz: float, seed: 
     """
     out = np.tile(wind_m_s, (count, 1))
     if gust_m_s > 0:
+        from scipy.signal import lfilter  # a third of a second, for gusts only
+
         keep = math.exp(-1.0 / (2.0 * rate_hz))  # two seconds: eddies of a metre or two at walking-pace wind
         white = philox(seed, 1).standard_normal((count, 3))
         white[0] /= math.sqrt(1 - keep**2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Sequence
@@ -86,8 +87,10 @@ def time_in(data: bytes) -> int:
     return sec * 1_000_000_000 + nanosec
 
 
-def frames_of(messages: Sequence[bytes], sensor: str, fields: dict[str, Any], t_ns: Longs) -> Frames:
+def frames_of(messages: Sequence[bytes], sensor: str, fields: dict[str, Any], t_ns: Longs) -> list[Frames]:
     """Decode RadarFrame messages of one size at these times, with the fields from `settings_of`.
+
+    Frames with poses and frames without them are given apart.
 
     Raises:
         InputError: the messages are not frames.
@@ -101,11 +104,15 @@ def frames_of(messages: Sequence[bytes], sensor: str, fields: dict[str, Any], t_
     if records["kind"][0] == 0:
         samples = samples.view(np.complex64)
     known = fields if "spec" in fields else fields | assumed_settings(records[0], sensor, samples)
-    poses, truth = (
-        path_of(t_ns, np.concatenate([records[key], records[f"{key}_rate"]], axis=1))
-        if records[f"has_{key}"].all() else None for key in ("believed", "truth")
-    )  # fmt: skip
-    return Frames(samples, t_ns=t_ns, sensor=sensor, poses=poses, truth=truth, **known)
+    cuts = [0, *(np.flatnonzero(np.diff(records["has_believed"].astype(int))) + 1).tolist(), len(messages)]
+    out = []
+    for some in itertools.starmap(slice, itertools.pairwise(cuts)):
+        poses, truth = (
+            path_of(t_ns[some], np.concatenate([records[key][some], records[f"{key}_rate"][some]], axis=1))
+            if records[f"has_{key}"][some].all() else None for key in ("believed", "truth")
+        )  # fmt: skip
+        out.append(Frames(samples[some], t_ns=t_ns[some], sensor=sensor, poses=poses, truth=truth, **known))
+    return out
 
 
 def assumed_settings(record: Any, sensor: str, samples: Any) -> dict[str, Any]:

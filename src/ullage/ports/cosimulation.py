@@ -332,14 +332,14 @@ def world_of(name: str, *, where: str) -> Scene:
     return load_scene(name, origin_m=(0.0, 0.0, 0.0))  # the peer's poses count from the file's own origin
 
 
-def rig_of(name: str, scene: Scene, model: str, *, where: str) -> Rig:
-    """Return the radars of a model: a preset, or as a file or the world declares them, or thesis-4.
+def rig_of(name: str, scene: Scene | None, model: str, *, where: str) -> Rig:
+    """Return the radars of a model: a preset, or as a file or the world, if there is one, declares them, or thesis-4.
 
     Raises:
         InputError: there is no such preset or file, or the file declares none.
     """
     if not name:
-        return scene.rigs.get(model) or Rig.preset("thesis-4")
+        return (scene and scene.rigs.get(model)) or Rig.preset("thesis-4")
     if name in Rig.presets:
         return Rig.preset(name)
     if not Path(name).suffix:

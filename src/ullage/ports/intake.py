@@ -612,12 +612,14 @@ class PoseQueue(Generic[ItemT]):
         topic: or sensor, for the counts.
         patience_s: a frame waits no longer than this [s].
         most: no more frames than this wait; the oldest is dropped.
+        keeps: frames whose pose does not come are given without one.
     """
 
     counters: Counters
     topic: str
     patience_s: float = 2.0
     most: int = 4096
+    keeps: bool = False
     waits_for: str = ""
     """What the oldest frame waits for; empty: nothing waits."""
     _frames: deque[tuple[float, ItemT]] = field(default_factory=deque)  # when it came [s]
@@ -633,7 +635,7 @@ class PoseQueue(Generic[ItemT]):
             self.counters.drop(self.topic, "no pose", f"more than {self.most} frames wait")
 
     def ready(self, place: Callable[[ItemT], Place[Any]], now_s: float) -> Iterator[tuple[ItemT, Any]]:
-        """Frames whose pose is known, in order, each with its pose; those whose pose will not come are dropped.
+        """Frames whose pose is known, in order, each with its pose; others are dropped, unless the queue keeps them.
 
         Args:
             place: gives what is known of a frame's pose.
@@ -647,7 +649,7 @@ class PoseQueue(Generic[ItemT]):
                 self.waits_for = answer.missing or "a pose"
                 return
             self._frames.popleft()
-            if answer.status == "known":
+            if answer.status == "known" or self.keeps:
                 yield frame, answer.pose
             else:
                 self.counters.drop(self.topic, "no pose", answer.missing)

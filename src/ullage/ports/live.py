@@ -22,7 +22,7 @@ from ullage.specs import Spec
 from ullage.world.scene import Scene
 
 SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+-]+):")
-Part = Literal["source", "sink", "drone", "controls"]
+Part = Literal["source", "sink", "drone", "controls", "poses"]
 
 
 class Port(NamedTuple):
@@ -36,16 +36,23 @@ class Port(NamedTuple):
     sink: str = ""
     drone: str = ""  # takes commands; of a place and `DroneOptions`
     controls: str = ""  # gives commands
+    poses: str = ""  # gives poses of a vehicle, as `pose_events.Feed` does
 
 
 LIVE = {
-    "ros2": Port("ros2.source.open_source", "ros2.sink.Ros2Sink", "ros2.drone.RosDrone", "ros2.hand.open_controls"),
+    "ros2": Port(
+        "ros2.source.open_source",
+        "ros2.sink.Ros2Sink",
+        "ros2.drone.RosDrone",
+        "ros2.hand.open_controls",
+        "ros2.cosimulation.open_poses",
+    ),
     "gazebo": Port(
         "gazebo.transport_source.open_source", "gazebo.sink.open_transport_sink", "gazebo.drone.GazeboDrone"
     ),
     "gazebo-classic": Port("gazebo.classic_source.open_source", "gazebo.sink.open_classic_sink"),
-    "imc": Port("imc.source.ImcSource", "imc.sink.ImcSink"),
-    "mavlink": Port("mavlink.source.open_source", "mavlink.sink.MavlinkSink"),
+    "imc": Port("imc.source.ImcSource", "imc.sink.ImcSink", poses="imc.poses.open_poses"),
+    "mavlink": Port("mavlink.source.open_source", "mavlink.sink.MavlinkSink", poses="mavlink.source.open_poses"),
     "x4": Port("instruments.x4.open_source"),
     "mrm": Port("instruments.mrm.open_source"),
     "acconeer": Port("instruments.acconeer.open_source"),
@@ -54,6 +61,8 @@ LIVE = {
 ADDED: tuple[plugins.Group, plugins.Group] = ("ullage.sources", "ullage.sinks")
 """Entry point groups for live ports of other packages: each a function of the place and the options."""
 LISTED = ", ".join(f"{scheme}:" for scheme in LIVE)
+INSTRUMENTS = tuple(scheme for scheme, port in LIVE.items() if port.source.startswith("instruments."))
+LISTED_POSES = ", ".join(f"{scheme}:" for scheme, port in LIVE.items() if port.poses)
 LISTED_SINKS = ", ".join(f"{scheme}:" for scheme, port in LIVE.items() if port.sink)
 
 
@@ -203,6 +212,10 @@ class Address:
             raise InputError(f"option {twice!r} comes twice", where=text)
         return cls(found[1].lower(), place, dict(pairs) | options)
 
+    def __str__(self) -> str:
+        """Return it without its options."""
+        return f"{self.scheme}:{self.place}"
+
     @property
     def known(self) -> bool:
         """Whether there is such a port."""
@@ -222,7 +235,7 @@ class Address:
         Raises:
             InputError: there is no such part, or an option is not valid.
         """
-        made, where = self.part(name), f"{self.scheme}:{self.place}"
+        made, where = self.part(name), str(self)
         if made is None:
             raise InputError(f"live {self.scheme} is not part of this version", where=where, allowed=LISTED)
         kind = getattr(made, "settings", None)

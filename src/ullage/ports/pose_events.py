@@ -6,7 +6,7 @@ import time
 from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -50,6 +50,17 @@ def path_along(states: Iterable[BodyState]) -> Trajectory:
     """Return the trajectory of states with rising times."""
     rows = [(one.t_ns, one.position, one.quat_xyzw, one.velocity, one.spin) for one in states]
     return Trajectory(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+TimedPose = tuple[int, Floats, Floats]
+"""Time [ns], position (3) [m] and quaternion xyzw (4)."""
+
+
+def path_through(before: TimedPose | None, poses: Sequence[TimedPose]) -> Trajectory:
+    """Return the path of poses with rising times; for its velocities the pose before them counts too, if known."""
+    rows = poses if before is None else [before, *poses]
+    path = Trajectory(*(np.array(column) for column in zip(*rows, strict=True)))
+    return path if before is None else path[1:]
 
 
 class PoseTrack:
@@ -97,6 +108,11 @@ class PoseTrack:
         before, after = rotations().from_quat(turn_a), rotations().from_quat(turn_b)
         turn = before * rotations().from_rotvec(share * (before.inv() * after).as_rotvec())
         return Place("known", (a + share * (b - a), turn.as_quat()))
+
+    def path(self) -> Trajectory | None:
+        """Return the path through all poses; None where there is none yet."""
+        rows = [(t_ns, *pose) for t_ns, pose in zip(self._t_ns, self._poses, strict=True)]
+        return path_through(None, rows) if rows else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage import checks
-from ullage.data import Detections, Frames, Trajectory, gathered
+from ullage.data import Detections, Frames, Trajectory, gathered, joined
 from ullage.errors import DamageWarning, InputError, UllageWarning
 from ullage.grids import Image, OccupancyMap
 from ullage.ports.intake import Counters, warn
@@ -167,6 +168,16 @@ def pieces(frames: Mapping[str, Frames], chunk: int) -> Iterator[dict[str, Frame
     while part := {name: f[start : start + chunk] for name, f in frames.items() if len(f) > start}:
         yield part
         start += chunk
+
+
+def of_one_kind(parts: Mapping[str, Iterable[Frames]]) -> Iterator[dict[str, Frames]]:
+    """Give parts of several sensors in pieces, as many frames together as have one spec, and all have poses or none."""
+    left = {
+        name: [joined(list(alike)) for _, alike in groupby(some, key=lambda part: (part.poses is None, part.spec))]
+        for name, some in parts.items()
+    }
+    while piece := {name: some.pop(0) for name, some in left.items() if some}:
+        yield piece
 
 
 def one_or_all(frames: dict[str, Frames], sensor: str | None) -> Frames | dict[str, Frames]:

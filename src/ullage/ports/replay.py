@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ullage.data import Frames, Trajectory, joined
+from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions
 from ullage.ports import schema as ros
 from ullage.ports.intake import Clock, Counters, Stamped, Stream, warn
-from ullage.ports.protocol import Recording
+from ullage.ports.protocol import Recording, of_one_kind
 from ullage.untrusted import reading
 
 if TYPE_CHECKING:
@@ -116,15 +116,13 @@ class McapSource(Recording):
         mine.settings = {**mine.settings, **known}
 
     def _made(self, waiting: dict[str, Waiting], counters: Counters) -> Iterator[dict[str, Frames]]:
-        """One piece of the frames that wait, if there are any."""
+        """The frames that wait, if there are any."""
         out = {}
         for name, mine in waiting.items():
             messages, mine.messages = mine.messages, []
             counters.receive(name, len(messages))
-            if messages and (parts := sound_frames(name, mine.settings, messages, counters)):
-                out[name] = joined(parts)
-        if out:
-            yield out
+            out[name] = sound_frames(name, mine.settings, messages, counters) if messages else []
+        yield from of_one_kind(out)
 
     def trajectory(self) -> Trajectory | None:
         """Return the estimated path of the body, if known."""
@@ -227,7 +225,7 @@ def sound_frames(
     """
     try:
         t_ns = np.array([message.t_ns for message in messages])
-        return [conversions.frames_of([message.item for message in messages], name, settings, t_ns)]
+        return conversions.frames_of([message.item for message in messages], name, settings, t_ns)
     except Exception as error:  # damaged messages can raise any error in the decoders
         if len(messages) == 1:
             counters.drop(topic or name, "bad", str(error).partition("\n")[0] or type(error).__name__)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import shutil
@@ -12,16 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from ullage.data import Calibration, Frames, joined, sensors_of
+from ullage.data import Calibration, Frames, sensors_of
 from ullage.errors import InputError, need
 from ullage.files import writing
 from ullage.flow import Sink
 from ullage.grids import Grid, OccupancyMap
 from ullage.ports import conversions
-from ullage.ports.protocol import Item, Recording
+from ullage.ports.protocol import Item, Recording, of_one_kind
 from ullage.untrusted import FREE_BYTES, check_unpacked
 
 ROWS = 256  # frames in a chunk
+PATHS = ("poses", "truth")
+"""Columns with NaN where a frame has none."""
 
 
 class ZarrSink(Sink):
@@ -67,30 +70,42 @@ class ZarrSink(Sink):
                     self._store(frames.sensor)
 
     def _store(self, sensor: str) -> None:
-        frames = joined(self._waiting.pop(sensor))
-        columns: dict[str, Any] = {"samples": frames.samples, "t_ns": frames.t_ns}
-        for name, path in (("poses", frames.poses), ("truth", frames.truth)):
-            if path is not None:
-                columns[name] = conversions.state_columns(path)
-        with writing(self.path):
-            if sensor not in self._root:
-                self._begin(frames, columns)
-            group = self._root[sensor]
-            if set(columns) != set(group.attrs["columns"]):
-                raise InputError("poses come and go", where=sensor, allowed="poses with all frames or none")
-            for name, values in columns.items():
-                group[name].append(values)
+        for piece in of_one_kind({sensor: self._waiting.pop(sensor)}):
+            frames = piece[sensor]
+            columns: dict[str, Any] = {"samples": frames.samples, "t_ns": frames.t_ns}
+            for name, path in (("poses", frames.poses), ("truth", frames.truth)):
+                if path is not None:
+                    columns[name] = conversions.state_columns(path)
+            with writing(self.path):
+                if sensor not in self._root:
+                    self._begin(frames)
+                self._append(self._root[sensor], columns)
 
-    def _begin(self, frames: Frames, columns: dict[str, Any]) -> None:
+    def _append(self, group: Any, columns: dict[str, Any]) -> None:
+        """Append rows; frames without a pose have NaN there once another one has some."""
+        before, count = group["t_ns"].shape[0] if "t_ns" in group else 0, len(columns["t_ns"])
+        for name, values in columns.items():
+            if name not in group:
+                self._column(group, name, values)
+                if before:
+                    group[name].append(np.full((before, *values.shape[1:]), np.nan))
+            group[name].append(values)
+        for name in PATHS:
+            if name in group and name not in columns:
+                group[name].append(np.full((count, *group[name].shape[1:]), np.nan))
+
+    def _column(self, group: Any, name: str, values: Any) -> None:
+        """Begin a column with rows like these."""
+        shape, rows = (0, *values.shape[1:]), (ROWS, *values.shape[1:])
+        dims = ("t_ns", {"samples": "range_m"}.get(name, "state"))[: values.ndim]
+        group.create_array(name, shape=shape, chunks=rows, dtype=values.dtype, dimension_names=dims)
+
+    def _begin(self, frames: Frames) -> None:
         about = {
-            "unit": frames.unit, "spec": frames.spec.model_dump_json(), "columns": sorted(columns),
+            "unit": frames.unit, "spec": frames.spec.model_dump_json(),
             "calibration": None if frames.calibration is None else asdict(frames.calibration),
         }  # fmt: skip
         group = self._root.create_group(frames.sensor, attributes=about)
-        for name, values in columns.items():
-            shape, rows = (0, *values.shape[1:]), (ROWS, *values.shape[1:])
-            dims = ("t_ns", {"samples": "range_m"}.get(name, "state"))[: values.ndim]
-            group.create_array(name, shape=shape, chunks=rows, dtype=values.dtype, dimension_names=dims)
         group.create_array("range_m", data=frames.range_m, dimension_names=("range_m",))
         if frames.track is not None:
             group.create_array("track_t_ns", data=frames.track.t_ns)
@@ -143,7 +158,9 @@ class ZarrSource(Recording):
         """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
         sizes = {name: self._root[name]["t_ns"].shape[0] for name in self.sensors}
         for start in range(0, max(sizes.values(), default=0), chunk):
-            yield {name: self._cut(name, start, start + chunk) for name, size in sizes.items() if start < size}
+            yield from of_one_kind(
+                {name: self._cut(name, start, start + chunk) for name, size in sizes.items() if start < size}
+            )
 
     def _array(self, group: Any, name: str) -> Any:
         """An array, refused where its description promises far more than the files hold."""
@@ -153,22 +170,31 @@ class ZarrSource(Recording):
             check_unpacked(array.nbytes, stored, what=name, where=self.path)
         return array
 
-    def _cut(self, name: str, start: int, stop: int) -> Frames:
+    def _cut(self, name: str, start: int, stop: int) -> Iterator[Frames]:
+        """Give the frames of some rows, those with poses and those without apart."""
         try:
-            group, rows = self._root[name], slice(start, stop)
+            group = self._root[name]
+            known = [np.isfinite(self._array(group, key)[start:stop]).all(1) for key in PATHS if key in group]
+        except (OSError, KeyError, ValueError, RuntimeError) as error:
+            raise InputError(f"damaged: {error}", where=self.path) from None
+        changes = np.diff(known, axis=1).any(0) if known else np.zeros(0, bool)
+        for first, last in itertools.pairwise([start, *(np.flatnonzero(changes) + start + 1).tolist(), stop]):
+            yield self._read(name, slice(first, last))
+
+    def _read(self, name: str, rows: slice) -> Frames:
+        try:
+            group = self._root[name]
             t_ns = self._array(group, "t_ns")[rows]
-            paths = {
-                key: conversions.path_of(t_ns, self._array(group, key)[rows]) if key in group else None
-                for key in ("poses", "truth")
-            }
+            states = {key: self._array(group, key)[rows] for key in PATHS if key in group}
+            paths = {key: conversions.path_of(t_ns, one) for key, one in states.items() if np.isfinite(one).all()}
             track = None
             if "track" in group:
                 track = conversions.path_of(self._array(group, "track_t_ns")[:], self._array(group, "track")[:])
             about = group.attrs["calibration"]
             spec = conversions.spec_of(json.loads(group.attrs["spec"]), name)
             return Frames(
-                self._array(group, "samples")[rows], self._array(group, "range_m")[:], t_ns, spec, paths["poses"],
-                paths["truth"], name, group.attrs["unit"], track, None if about is None else Calibration(**about),
+                self._array(group, "samples")[rows], self._array(group, "range_m")[:], t_ns, spec, paths.get("poses"),
+                paths.get("truth"), name, group.attrs["unit"], track, None if about is None else Calibration(**about),
             )  # fmt: skip
         except (OSError, KeyError, ValueError, RuntimeError) as error:
             raise InputError(f"damaged: {error}", where=self.path) from None

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Complexes, Floats
-from ullage.data import Frames, Recording, joined, one_sensor, sensors_of
+from ullage.data import Frames, Recording, joined, makes_room, one_sensor, sensors_of
 from ullage.geometry import C0
 from ullage.processing.baseband import has_phase, to_baseband
 from ullage.processing.echoes import BLIND_M
@@ -182,6 +182,8 @@ class _Places:
     def add(self, part: Frames, most: int) -> None:
         if not has_phase(part):
             self.pieces = self.pieces or [part[np.array([0])]]
+            return
+        if not makes_room(self.pieces, part):
             return
         new = []
         for i, place in enumerate(_places_of(part)):

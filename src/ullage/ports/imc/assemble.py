@@ -7,7 +7,6 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -253,13 +252,11 @@ class FrameAssembler:
         if "spec" not in sensor.settings or not sensor.exact_frames:
             return None
         waiting, sensor.exact_frames = sensor.exact_frames, []
-        sound = partial(sound_frames, sensor.name, sensor.settings, counters=self._counters, topic=sensor.stream.topic)
-        parts = sound(waiting)
-        if parts and len(parts[0]) == len(waiting) > 1 and parts[0].poses is None:  # some may have one
-            parts = [found for one in waiting for found in sound([one])]
+        parts = sound_frames(sensor.name, sensor.settings, waiting, self._counters, topic=sensor.stream.topic)
         posed = [made for made in parts if made.poses is not None]
         if posed:
-            self._counters.drop(sensor.stream.topic, "no pose", "frames without one", count=len(parts) - len(posed))
+            lacking = sum(len(made) for made in parts if made.poses is None)
+            self._counters.drop(sensor.stream.topic, "no pose", "frames without one", count=lacking)
         return joined(posed or parts) if parts else None
 
     def _mount(self, part: Part, packet: Packet) -> None:

@@ -66,13 +66,18 @@ class PlaceOptions(LinkOptions):
         return {a.strip(): b.strip() for a, _, b in pairs}
 
 
-class SourceOptions(PlaceOptions, SensingOptions, DroneOptions):
-    """Options of a source on the bus."""
+class PoseOptions(PlaceOptions):
+    """Options of the poses of a vehicle."""
 
     vehicle: str = Field(
         "", description="name or number of the system to follow; none: the first that says where it is"
     )
     state: Literal["EstimatedState", "SimulatedState"] = "EstimatedState"
+
+
+class SourceOptions(PoseOptions, SensingOptions, DroneOptions):
+    """Options of a source on the bus."""
+
     world: str = Field(
         "", description="a library world or a file: radars are simulated; none: recorded frames are taken"
     )

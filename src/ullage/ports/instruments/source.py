@@ -20,6 +20,7 @@ from ullage.errors import InputError
 from ullage.ports.intake import PATIENCE_S, Counters, Inbox, LiveOptions, Log
 from ullage.ports.live import LiveSource, options_of
 from ullage.specs import RadarSpec
+from ullage.untrusted import load_yaml
 
 RETRY_S = 0.5
 """Between two attempts to open an instrument that is gone [s]."""
@@ -71,17 +72,21 @@ class Instrument(Protocol):
         """Return what it says of itself, for the end of a run."""
 
 
+class NotReadyError(InputError):
+    """An instrument that cannot be started now; later it may be."""
+
+
 def begin(instrument: Instrument) -> None:
     """Start an instrument, and let go of it where that fails.
 
     Raises:
-        InputError: as its `start`.
+        NotReadyError: its `start` fails.
     """
     try:
         instrument.start()
-    except (OSError, InputError):
+    except (OSError, InputError) as error:
         instrument.close()
-        raise
+        raise NotReadyError(_why(error), where=instrument.place, allowed=getattr(error, "allowed", "")) from None
 
 
 class InstrumentOptions(LiveOptions):
@@ -104,7 +109,11 @@ def split_options(kind: type[Any], values: dict[str, Any], preset: str, where: s
     for name in values:
         if name not in known:
             raise InputError(f"no option {name!r}", where=where, allowed=", ".join(known))
-    changes = {name: value for name, value in values.items() if name not in own}
+    changes = {
+        name: load_yaml(value, where=where) if isinstance(value, str) else value  # a mount is a group
+        for name, value in values.items()
+        if name not in own
+    }
     return options, RadarSpec.preset(options.preset or preset, **changes)
 
 
@@ -225,7 +234,7 @@ class InstrumentSource(LiveSource):
         while not self._leaving.wait(RETRY_S):
             try:
                 begin(self._instrument)
-            except (OSError, InputError):
+            except NotReadyError:
                 continue
             self._inbox.put(f"{self.where}: measures again")
             return

@@ -42,18 +42,23 @@ class LinkOptions(Spec):
     heartbeat_s: float = Field(5.0, gt=0.1, le=3600, description="without HEARTBEAT for so long the autopilot is lost")
 
 
-class SourceOptions(RadarOptions, LinkOptions):
-    """Radars simulated along the autopilot's poses."""
+class PoseOptions(LinkOptions):
+    """Poses of the autopilot's vehicle."""
 
     poses: Literal["auto", "odometry", "local"] = Field(
         "auto", description="ODOMETRY, or LOCAL_POSITION_NED with ATTITUDE; auto: ODOMETRY where it comes"
     )
     origin: str = Field("", description="the autopilot's local origin in the world: x,y,z [m] and, if given, yaw [deg]")
+    request_hz: float = Field(50.0, ge=0, le=500, description="poses a second that are asked for; 0: do not ask")
+    wait_s: float = Field(30.0, gt=0, le=86400, description="without a first HEARTBEAT for so long the run ends")
+
+
+class SourceOptions(RadarOptions, PoseOptions):
+    """Radars simulated along the autopilot's poses."""
+
     stagger: bool = Field(
         True, description="another pulse interval in every second frame, so that folded echoes jump from frame to frame"
     )
-    request_hz: float = Field(50.0, ge=0, le=500, description="poses a second that are asked for; 0: do not ask")
-    wait_s: float = Field(30.0, gt=0, le=86400, description="without a first HEARTBEAT for so long the run ends")
 
 
 class SinkOptions(LinkOptions):

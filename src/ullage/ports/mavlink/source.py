@@ -16,7 +16,7 @@ from ullage.ports.cosimulation import CosimulationSource, rig_of, world_of
 from ullage.ports.intake import Counters, Log, Place, PoseQueue, checked_pose, warn
 from ullage.ports.live import options_of, point_of
 from ullage.ports.mavlink.link import POSES, Link, PoseMessage, leave, open_link
-from ullage.ports.mavlink.options import SourceOptions
+from ullage.ports.mavlink.options import PoseOptions, SourceOptions
 from ullage.ports.ned import enu_position, enu_quat
 from ullage.ports.pose_events import EventFeed, ModelPose, Notice, PoseTrack
 
@@ -145,7 +145,7 @@ class PoseFeed(EventFeed):
         options: which poses, and how.
     """
 
-    def __init__(self, link: Link, options: SourceOptions) -> None:
+    def __init__(self, link: Link, options: PoseOptions) -> None:
         super().__init__(link)
         self._link, self._options = link, options
         self._builder = PoseBuilder(link.counters, options.poses, origin_of(options.origin))
@@ -195,7 +195,7 @@ class PoseFeed(EventFeed):
                 self._synchronised = True
             elif self._first_s is not None and time.monotonic() - self._first_s > SYNC_S:
                 self._synchronised = False
-                self._ready.append(Notice("the autopilot does not answer TIMESYNC: frames keep the time of its clock"))
+                self._ready.append(Notice("the autopilot does not answer TIMESYNC: poses keep the time of its clock"))
         if self._synchronised is None or (self._synchronised and not self._link.clock.known):
             while len(self._unsynced) > 1:  # frames along older ones would only come late
                 self._unsynced.popleft()
@@ -223,7 +223,19 @@ class PoseFeed(EventFeed):
             return f"waiting for HEARTBEAT on {self._link.name}"
         self._link.poses_come = False
         wanted = {"odometry": POSES[0], "local": ", ".join(POSES[1:])}.get(self._options.poses, ", ".join(POSES))
-        return f"no poses of system {there.system}: frames wait (it should send {wanted})"
+        return f"no poses of system {there.system} (it should send {wanted})"
+
+
+def open_poses(address: str, options: dict[str, Any]) -> PoseFeed:
+    """Poses of the autopilot's vehicle: `mavlink:udp://HOST:PORT?key=value`.
+
+    Raises:
+        InputError: an option cannot be used, or the place cannot be opened.
+        MissingExtra: pymavlink or pyserial is not installed.
+    """
+    chosen = options_of(PoseOptions, options, f"mavlink:{address}")
+    origin_of(chosen.origin)
+    return PoseFeed(open_link(address, chosen, role="source", log=warn), chosen)
 
 
 def open_source(address: str, options: dict[str, Any], *, log: Log | None = None) -> CosimulationSource:

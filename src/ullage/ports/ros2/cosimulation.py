@@ -13,31 +13,29 @@ from ullage.ports import schema as ros
 from ullage.ports.conversions import PLACING, placements_in
 from ullage.ports.cosimulation import CosimulationSource, world_and_rig
 from ullage.ports.intake import Log, checked_pose
+from ullage.ports.live import options_of
 from ullage.ports.pose_events import EventFeed, ModelPose, Notice
 from ullage.ports.protocol import Passed
 from ullage.ports.publisher import Publisher, shifted
 from ullage.ports.ros2.middleware import SEARCH_S, Peer, Received
-from ullage.ports.ros2.options import SimulateOptions
+from ullage.ports.ros2.options import PoseOptions, SimulateOptions
 from ullage.ports.ros2.transforms import Transforms
 from ullage.world.scene import Scene
 
 
 class PoseFeed(EventFeed):
-    """Feed of a vehicle's poses from a topic, with frames published back.
+    """Feed of a vehicle's poses from a topic.
 
     Args:
         peer: the node.
         options: names the topic.
-        scene: the world, published once for viewers.
     """
 
-    def __init__(self, peer: Peer, options: SimulateOptions, scene: Scene) -> None:
+    def __init__(self, peer: Peer, options: PoseOptions) -> None:
         super().__init__(peer)
         self._peer, self._options = peer, options
         self._topic, self._kind = peer.resolved(options.pose), ""
         self._transforms = Transforms()
-        self._publisher = Publisher(frame_prefix=options.frame_prefix)
-        self._scene: Scene | None = scene
         self.newest_ns = 0
         peer.claim(self._topic)
         peer.spin()
@@ -111,6 +109,31 @@ class PoseFeed(EventFeed):
         return f"nobody publishes {self._topic}; pose=TOPIC could be {', '.join(fitting) or 'none that is there'}"
 
     def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
+        """Nothing: nobody asked for frames."""
+
+    def close(self) -> None:
+        """Leave the network after all reliable messages have arrived."""
+        self._peer.settle(1.0)
+        super().close()
+
+
+class RobotFeed(PoseFeed):
+    """Feed of a vehicle's poses, with frames published back.
+
+    Args:
+        peer: the node.
+        options: names the topic.
+        scene: the world, published once for viewers.
+    """
+
+    _options: SimulateOptions
+
+    def __init__(self, peer: Peer, options: SimulateOptions, scene: Scene) -> None:
+        super().__init__(peer, options)
+        self._publisher = Publisher(frame_prefix=options.frame_prefix)
+        self._scene: Scene | None = scene
+
+    def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
         """Publish frames on the clock of the poses."""
         parts = {part.sensor: shifted(part, -offset_ns) for part in sensors_of(chunk)}
         items: list[Any] = [parts] if self._scene is None else [parts, self._scene]
@@ -135,10 +158,16 @@ class PoseFeed(EventFeed):
             return self._kind != ros.TRANSFORMS
         return self._options.tf == "on"
 
-    def close(self) -> None:
-        """Leave the network after all reliable messages have arrived."""
-        self._peer.settle(1.0)
-        super().close()
+
+def open_poses(namespace: str, options: dict[str, Any]) -> PoseFeed:
+    """Poses of a vehicle from a topic: `ros2:NAMESPACE?pose=TOPIC`.
+
+    Raises:
+        InputError: an option is unknown or of no use.
+        MissingExtra: there is no rclpy.
+    """
+    chosen = options_of(PoseOptions, options, f"ros2:{namespace}")
+    return PoseFeed(Peer(namespace, chosen), chosen)
 
 
 class Ros2Radars(CosimulationSource):
@@ -163,4 +192,4 @@ class Ros2Radars(CosimulationSource):
             raise InputError("no world", where=where, allowed="simulate=NAME or simulate=FILE.sdf")
         scene, rig = world_and_rig(options.simulate or options.world, options, where=where)
         made = peer or Peer(namespace, options)
-        super().__init__(lambda: PoseFeed(made, options, scene), scene, rig, options, log=log)
+        super().__init__(lambda: RobotFeed(made, options, scene), scene, rig, options, log=log)

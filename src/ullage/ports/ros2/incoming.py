@@ -33,6 +33,7 @@ from ullage.ports.intake import (
     checked_pose,
     echo_range,
 )
+from ullage.ports.pose_events import TimedPose, path_through
 from ullage.ports.publisher import shifted
 from ullage.ports.ros2.options import SourceOptions
 from ullage.ports.ros2.transforms import Transforms
@@ -58,7 +59,7 @@ class Radar:
     index: int | None = None  # of the last RadarFrame
     raw: deque[tuple[float, Stamped[Any]]] = field(default_factory=deque)  # time of arrival [s], RadarFrame
     placed: deque[tuple[Stamped[Frames], Floats | None]] = field(default_factory=deque)
-    last: tuple[int, int, Floats] | None = None  # last track, time and pose, for the velocity of the next
+    last: tuple[int, TimedPose] | None = None  # last track and pose, for the velocity of the next
 
 
 class Incoming:
@@ -233,7 +234,7 @@ class Incoming:
         data = stamped.item
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            made = conversions.frames_of([data], radar.sensor, radar.fields, conversions.times_in([data]))
+            (made,) = conversions.frames_of([data], radar.sensor, radar.fields, conversions.times_in([data]))
         for warning in caught:
             self._log(str(warning.message))
         radar.fields = {"spec": made.spec, "range_m": made.range_m, "unit": made.unit} | radar.fields
@@ -304,15 +305,12 @@ class Incoming:
 
     def _path(self, radar: Radar, found: list[tuple[Stamped[Frames], Floats | None]]) -> Trajectory:
         """Return poses with velocities; the previous pose counts as well, unless a track begins."""
+        stack, track = np.stack([matrix for _, matrix in found if matrix is not None]), found[0][0].track
         times = [stamped.t_ns for stamped, _ in found]
-        known = [matrix for _, matrix in found if matrix is not None]
-        before = radar.last if radar.last is not None and radar.last[0] == found[0][0].track else None
-        radar.last = found[-1][0].track, times[-1], known[-1]
-        if before is not None:
-            times, known = [before[1], *times], [before[2], *known]
-        stack = np.stack(known)
-        path = Trajectory(np.array(times), stack[:, :3, 3], matrix_quat(stack[:, :3, :3]))
-        return path[int(before is not None) :]
+        poses = list(zip(times, stack[:, :3, 3], matrix_quat(stack[:, :3, :3]), strict=True))
+        before = radar.last[1] if radar.last is not None and radar.last[0] == track else None
+        radar.last = track, poses[-1]
+        return path_through(before, poses)
 
 
 def alike(a: Frames, b: Frames) -> bool:

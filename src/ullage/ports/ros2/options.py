@@ -55,11 +55,16 @@ class SourceOptions(NodeOptions, LiveOptions):
     idle_s: float | None = Field(None, gt=0, description="ends when nothing came for so long")
 
 
-class SimulateOptions(CosimulationOptions, NodeOptions):
+class PoseOptions(NodeOptions):
+    """Options of the poses of a vehicle."""
+
+    pose: str = Field("odom", description="topic of its pose: Odometry, PoseStamped, with covariance, or TFMessage")
+    map: str = Field("map", description="frame of reference of the world, where the pose comes from transforms")
+    body: str = Field("base_link", description="frame of reference of the vehicle")
+
+
+class SimulateOptions(CosimulationOptions, PoseOptions):
     """Options of `ullage run ros2:?simulate=WORLD`, besides those of every simulator port."""
 
     simulate: str = Field("", description="library world or file that the vehicle moves in")
-    pose: str = Field("odom", description="topic of its pose: Odometry, PoseStamped, with covariance, or TFMessage")
-    map: str = Field("map", description="frame of reference of that world, where the pose comes from transforms")
-    body: str = Field("base_link", description="frame of reference of the vehicle")
     tf: Literal["auto", "on", "off"] = Field("auto", description="publish /tf; auto: when nobody else does")

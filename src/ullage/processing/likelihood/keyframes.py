@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from ullage.antenna import boresight_pattern
 from ullage.arrays import Floats, Longs
@@ -117,7 +117,7 @@ class KeyframeSelector:
 
     def __init__(self, spec: LikelihoodSpec) -> None:
         self._spec = spec
-        self._of_sums = float(norm.isf(math.exp(-spec.least_snr))) / math.sqrt(spec.least_snr)
+        self._of_sums = float(-ndtri(math.exp(-spec.least_snr))) / math.sqrt(spec.least_snr)
         self._channels: dict[str, Channel] = {}
         self._leading = ""
         self._next = 0  # index of the leading row that may become the next keyframe
