@@ -53,6 +53,15 @@ def test_help_loads_no_number_crunching() -> None:
     assert not loaded & (HEAVY - {"typer"})
 
 
+def test_a_live_run_loads_nothing_that_only_simulated_flights_need() -> None:
+    """Its first frames are to be seen within two seconds: each of these takes a tenth of one or more."""
+    parts = "runner, ullage.experiments.source_resolution, ullage.ports.instruments.group, ullage.ports.mavlink.source"
+    code = f"import sys, ullage.cli, ullage.experiments.{parts}; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    wanted = {"scipy.signal", "scipy.stats", "scipy.interpolate", "ullage.experiments.exploration"}
+    assert not wanted & set(loaded)
+
+
 def test_every_public_name_is_there_and_has_a_docstring() -> None:
     assert [name for name in ul.__all__ if name != "C0" and not getattr(ul, name).__doc__] == []
 

@@ -230,6 +230,25 @@ def test_what_fails_in_any_thread_ends_the_run_with_its_error() -> None:
         ul.run(Port(before={3: refuse}), stages=[], sinks=[Kept()])
 
 
+def test_a_source_is_closed_where_a_stage_refuses_its_frames() -> None:
+    class Instrument(Port):
+        def __init__(self) -> None:
+            super().__init__(before={1: lambda: self.closed.wait(LONG_S)})
+            self.closed = threading.Event()
+
+        def close(self) -> None:
+            self.closed.set()
+
+    class Refusing(Map):
+        def update(self, chunk: dict[str, ul.Frames]) -> list[Any]:
+            raise ul.InputError("no such frames")
+
+    port = Instrument()
+    with pytest.raises(ul.InputError, match="no such frames"):
+        ul.run(port, stages=[Refusing()])
+    assert port.closed.is_set()
+
+
 def test_the_queue_drops_the_oldest_first_and_never_news() -> None:
     now, counters = [0.0], Counters()
     queue: Inbox[Any] = Inbox(counters, lag_s=2.0, now=lambda: now[0])

@@ -520,6 +520,8 @@ def joined(parts: Sequence[Frames]) -> Frames:
     if not parts:
         raise InputError("no frames", where="joined")
     first = parts[0]
+    if len(parts) == 1:
+        return first
     if any(p.sensor != first.sensor or not np.array_equal(p.range_m, first.range_m) for p in parts):
         raise InputError("pieces of different sensors or range axes", where="joined")
     return replace(

@@ -12,7 +12,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from ullage.geometry import C0
 from ullage.specs import NoiseSpec, RadarSpec
@@ -40,6 +39,8 @@ def unlimited(amplitude: NDArray[np.float64], limit: float) -> NDArray[np.float6
 
 @lru_cache(maxsize=64)
 def _profile(noise: NoiseSpec, limit: float, range_start_m: float, bin_m: float, bins: int) -> NDArray[np.complex128]:
+    from scipy.interpolate import CubicSpline  # a tenth of a second, for simulated radars only
+
     place, values = _measured(noise, limit)
     want = range_start_m + bin_m * np.arange(bins)
     inside = (want >= place[0]) & (want <= place[-1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import shutil
@@ -19,6 +20,7 @@ from imc_peer import Peer
 
 import ullage as ul
 from ullage.ports.imc.codec import Packet, Parser
+from ullage.ports.live import Address
 
 BUS = Path(__file__).parent / "imc_bus.py"
 
@@ -143,3 +145,15 @@ def test_a_source_and_a_sink_on_one_bus_are_one_system(tmp_path: Path) -> None:
     systems = {packet["services"].partition("/uid/")[2][:16] for packet in found}
     assert len(systems) == 1
     assert any(packet.name == "DevDataBinary" for packet in heard(kept))
+
+
+def test_the_bus_gives_poses_for_frames_from_elsewhere() -> None:
+    sent = iter([b"".join(estimated_state(1e9 + k / 20, 0.5 * k, 0.0, -1.0, 0.0) for k in range(50))])
+    with Peer(tick=lambda _: next(sent, b"")) as peer:
+        address = Address.of(f"imc:{peer.place}?reconnect=false")
+        assert address is not None
+        feed = address.open("poses")
+        poses = list(itertools.islice(filter(None, iter(lambda: feed.next(0.1), object())), 49))
+        feed.close()
+    np.testing.assert_array_equal([pose.t_ns for pose in poses], [round(1e18 + k * 5e7) for k in range(49)])
+    np.testing.assert_allclose([pose.position[1] for pose in poses], 0.5 * np.arange(49), atol=1e-6)

@@ -14,6 +14,7 @@ import pytest
 
 import ullage as ul
 from ullage.ports import read_map
+from ullage.ports.instruments.simulated import SimulatedX4
 
 from .network import Network, result_of
 
@@ -124,3 +125,26 @@ def test_a_listener_outlives_the_one_it_listens_to(network: Network) -> None:
     assert lines[-1]["at"] is not None
     listener.communicate(timeout=60)
     assert listener.returncode == 0
+
+
+def test_a_robots_odometry_places_the_frames_of_an_instrument(network: Network, tmp_path: Path) -> None:
+    pytest.importorskip("serial")
+    x4 = SimulatedX4()
+    network.ready("move.py")
+    words = [
+        "-m",
+        "ullage",
+        "run",
+        f"x4:{x4.path}?fps=17&iterations=8&bins=96&duration_s=3&lag=0&mount={{yaw_deg: 90}}",
+    ]
+    to = tmp_path / "all.mcap"
+    run = network.start(*words, "--poses", "ros2:robot?pose=odom", "--out", tmp_path / "runs", "--to", to)
+    out, err = run.communicate(timeout=120)
+    x4.close()
+    assert run.returncode == 0, out + err
+    parts = [piece["x4"] for piece in ul.open(to).stream()]
+    assert sum(map(len, parts)) >= 45
+    posed = next(part for part in reversed(parts) if part.poses is not None).believed
+    assert 2.0 < posed.position[-1, 0] < 4.0
+    assert posed.position[-1, 2] == pytest.approx(1.1)
+    np.testing.assert_allclose(posed.world_from_body[-1][:3, 0], [0, 1, 0], atol=1e-9)

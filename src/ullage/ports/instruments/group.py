@@ -242,7 +242,8 @@ class InstrumentGroup(LiveSource):
         parts = []
         for _, some in groupby((row for row, _ in rows), key=lambda row: id(row.part)):
             here = list(some)
-            parts.append(here[0].part[here[0].number : here[-1].number + 1])
+            part = here[0].part
+            parts.append(part if len(here) == len(part) else part[here[0].number : here[-1].number + 1])
         frames, known = joined(parts), [(row.t_ns, *pose) for row, pose in rows if pose is not None]
         self._given += len(frames)
         if not known:
