@@ -374,7 +374,8 @@ def _begun(
         if wait and not begun.first:
             raise InputError("no frames came", where=place)
         flown = next((part.poses for part in begun.first.values() if part.poses is not None), None)
-        flown = source.trajectory() if flown is None else flown  # the first frames may be from before the first pose
+        if flown is None and (path := getattr(source, "trajectory", None)) is not None:
+            flown = path()  # the first frames may be from before the first pose
         usual: tuple[Task, ...] = ("detect",) if flown is None else ("detect", "map")
         scenario = plan(usual if tasks is None else tasks)
     except BaseException:

@@ -33,7 +33,6 @@ POSE_S = 1.0
 """How long they wait for later ones; longer gaps are not interpolated [s]."""
 ORDER_S = 0.5
 """An instrument that gave nothing for so long is not waited for [s]."""
-
 MOST = 100_000
 """Frames of a radar that wait: half a minute of the fastest."""
 
@@ -281,7 +280,7 @@ class InstrumentGroup(LiveSource):
 
 
 def named(addresses: Sequence[Address]) -> dict[str, Address]:
-    """Return the addresses of instruments by the name of their radar.
+    """Return the addresses of instruments by the name of their radar, which is their scheme unless they have one.
 
     Raises:
         InputError: two have one name.
@@ -292,7 +291,9 @@ def named(addresses: Sequence[Address]) -> dict[str, Address]:
         if name in out:
             where = f"{out[name]} and {address}"
             raise InputError(f"two radars are named {name!r}", where=where, allowed="sensor=NAME, another for each")
-        out[name] = address
+        out[name] = (
+            address if "sensor" in address.options else replace(address, options=address.options | {"sensor": name})
+        )
     return out
 
 
