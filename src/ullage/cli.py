@@ -338,6 +338,14 @@ def explore(
     to: To = None,
     option: Options = None,
     poses: Poses = None,
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            "--vehicle",
+            help="Aircraft that hovers: mavlink:, imc:, ros2: or gazebo:; default: simulated.",
+            metavar="PORT",
+        ),
+    ] = None,
     out: Out = None,
     trust_xacro: Trust = False,
     xacro: Xacro = None,
@@ -345,7 +353,7 @@ def explore(
     """Let a drone map a world by its own decisions.
 
     It flies where its map could learn most, by space known to be free, with the guard on, and comes home in time.
-    Ctrl-C ends the flight, and everything up to then is written.
+    Ctrl-C ends the flight, and everything up to then is written. An aircraft then hovers.
     """
     world = with_arguments(world, xacro or [])
     from ullage.experiments.exploration import prepare
@@ -357,7 +365,7 @@ def explore(
     options = [*_posed(poses), *(option or []), *([f"seed={seed}"] if seed is not None else [])]
     scenario = exploring(flight_scenario(world, options=options, kind="explore"), options)
     compile_parts(parts_of(scenario))
-    flight = prepare(scenario, time_s=time_s, height_m=height_m, log=log)
+    flight = prepare(scenario, time_s=time_s, height_m=height_m, vehicle=vehicle, log=log)
     _carry_out(make_exploration(flight, out=out, log=log, to=to or []), "exploring", time_s)
 
 

@@ -210,12 +210,12 @@ def run(
             # a live source waits for its peer without end, so there Ctrl-C raises
             with nullcontext(StopFlag()) if hasattr(given, "close") else StopFlag() as stop:
                 for chunk in stream():
-                    count.add(chunk)
-                    LOGGER.debug("%d frames of %s, %.2f s so far", sum(map(len, chunk.values())), ", ".join(chunk),
-                                 count.duration_s)  # fmt: skip
-                    _give(chunk, sinks)
-                    for stage in stages:
-                        for item in stage.update(chunk):
+                    if chunk:
+                        count.add(chunk)
+                        LOGGER.debug("%d frames of %s, %.2f s so far", sum(map(len, chunk.values())), ", ".join(chunk),
+                                     count.duration_s)  # fmt: skip
+                        _give(chunk, sinks)
+                        for item in (item for stage in stages for item in stage.update(chunk)):
                             _give(item, sinks)
                     if progress is not None:
                         progress(count.duration_s)

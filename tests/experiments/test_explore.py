@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 import ullage as ul
 from ullage.cli import app
 from ullage.errors import InputError
-from ullage.experiments.exploration import LATE_S, TOUCH_M_S, Explorer
 from ullage.experiments.exploration_report import observable_from, reachable
+from ullage.experiments.explorer import HOLD_S, LATE_S, TOUCH_M_S, Explorer
 from ullage.experiments.guarded_flight import WaypointFollower
 from ullage.flight.explore import ViewPlanner
 from ullage.flight.live import Steered, Wish
@@ -99,17 +99,64 @@ def test_a_pilot_lands_at_home_in_time_on_ground_that_is_not_where_it_was_though
     assert falls.max() <= 0.1 * TOUCH_M_S + 1e-9
 
 
-def test_a_vehicle_whose_poses_leave_the_world_lands_where_it_is() -> None:
+def fly_and_lose(*, from_s: float, until_s: float, away_m: float = 0.0) -> tuple[np.ndarray, Explorer]:
+    """Fly a point that sees 1.5 m and whose poses are lost, or err, for a while; its true places."""
     explorer = Explorer(START, time_s=40.0, speed_m_s=0.5, clearance_m=0.4, drop_m=0.9)
-    place = START[:3].copy()
-    for step in range(400):
-        explorer.take_map(OccupancyMap(GRID, hall()))
-        believed = place + np.array([20.0 if step > 15 else 0.0, 0.0, 0.0])
-        explorer.update(pose(believed, 0.0, step / 10), STAGE.sectors(step * 100_000_000))
+    place, yaw, track, known = START[:3].copy(), 0.0, [], np.full(GRID.shape, UNKNOWN, np.int8)
+    x, y = np.meshgrid(GRID.x_m, GRID.y_m)
+    for step in range(600):
+        near = np.hypot(x - place[0], y - place[1]) <= 1.5
+        known[near] = hall()[near]
+        explorer.take_map(OccupancyMap(GRID, known.copy()))
+        off = from_s <= step / 10 < until_s
+        drift_m = 0.1 * (step / 10 - from_s)  # lost poses wander
+        believed = place + np.array([(away_m or drift_m) if off else 0.0, 0.0, 0.0])
+        lost = "no echo fits" if off and not away_m else ""
+        explorer.update(pose(believed, yaw, step / 10), STAGE.sectors(step * 100_000_000), lost=lost)
+        track.append(place.copy())
         if explorer.ended:
             break
-        place[2] = max(place[2] + 0.1 * explorer.velocity(believed)[2], 0.1)
-    assert explorer.ended == "on the ground 20 m east of home: its poses left the box of the world"
+        place, yaw = place + 0.1 * explorer.velocity(believed), explorer.heading_rad
+        place[2] = max(place[2], 0.1)
+    return np.array(track), explorer
+
+
+@pytest.mark.parametrize(("away_m", "why"), [(0.0, "no echo fits"), (20.0, "outside the box of the world")])
+def test_a_vehicle_whose_poses_are_lost_hovers_and_lands_where_it_is(away_m: float, why: str) -> None:
+    track, explorer = fly_and_lose(from_s=3.0, until_s=60.0, away_m=away_m)
+    level = np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1)
+    assert level[:30].max() > 0.04
+    assert level[31:].max() == 0.0
+    lands = round(10 * (3.0 + HOLD_S))
+    assert (track[31:lands, 2] == track[31, 2]).all()
+    assert explorer.landed
+    assert explorer.ended.endswith(f"of home: its poses were lost for 5 s ({why})")
+    assert explorer.ended.startswith("on the ground ")
+    assert len(track) < lands + 60
+
+
+def test_a_vehicle_whose_poses_come_back_goes_on_and_comes_home() -> None:
+    track, explorer = fly_and_lose(from_s=3.0, until_s=3.0 + HOLD_S - 0.2)
+    level = np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1)
+    assert level[31 : round(10 * (3.0 + HOLD_S)) - 3].max() == 0.0
+    assert level[90:].max() > 0.04
+    assert explorer.ended.startswith("on the ground at home: ")
+
+
+def test_frames_of_lost_poses_stay_off_the_map() -> None:
+    class Losing:
+        lost = ""
+
+        def __call__(self, truth: ul.Trajectory, frames: object) -> ul.Trajectory:
+            self.lost = "as asked" if truth.t_ns[0] > 2e9 else ""
+            return truth
+
+    explored = ul.explore(ROOM, time_s=60.0, options=QUICK, poses=Losing())
+    assert explored.frames["front"].t_ns[-1] <= 2e9
+    assert explored.flown.duration_s > 2 + HOLD_S
+    assert "lost for 5 s (as asked)" in explored.summary
+    still = explored.flown.position[explored.flown.t_ns > 4e9]
+    assert np.linalg.norm(still[:, :2] - still[0, :2], axis=1).max() < 0.1
 
 
 CORNERS = st.lists(st.tuples(st.floats(-4, 4), st.floats(-4, 4)), min_size=2, max_size=5)

@@ -180,3 +180,24 @@ def test_commands_come_ten_times_a_second():
     fly(drone, point, 3.0)
     assert len(point.sent) == pytest.approx(30, abs=4)
     assert point.sent[-1] == Velocity(pytest.approx(0.2), pytest.approx(0.1), pytest.approx(0.0), 0.0)
+
+
+def test_a_set_point_runs_ahead_as_far_as_the_velocity_goes_in_a_second_and_stops_where_the_drone_is():
+    point = Point()
+    drone = guided(point, "pose")
+    drone.fly()
+    for speed in (0.6, 0.1):
+        drone.ask(Wish(velocity_m_s=(speed, 0.0)))
+        point.goal = None  # it does not move, so the set-point runs ahead
+        for _ in range(60):
+            drone.fly()
+            point.t_s += 0.05
+        ahead = np.array(point.goal[0]) - point.place
+        assert np.linalg.norm(ahead) == pytest.approx(speed, abs=1e-9)
+    drone.ask(Wish(velocity_m_s=(0.0, 0.0)))
+    point.place = stop = point.place + np.array((0.2, 0.0, 0.0))
+    for blown in ([0.0, 0.0, 0.0], [0.3, 0.1, 0.0]):  # it comes back to where it stopped
+        point.place = stop + blown
+        point.t_s += 0.2
+        drone.fly()
+        assert np.array(point.goal[0]) == pytest.approx(stop)

@@ -11,7 +11,8 @@ from ullage import checks
 from ullage.config import Scenario, is_set_by, make_scenario
 from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError
-from ullage.experiments.exploration import PIECE_S, Decision, prepare
+from ullage.experiments.exploration import PIECE_S, prepare
+from ullage.experiments.explorer import Decision
 from ullage.experiments.guarded_flight import Believe
 from ullage.experiments.source_resolution import flight_scenario
 from ullage.flow import Sink
@@ -48,7 +49,7 @@ class Explored:
 def explore(
     world: str | Path | Scene, *, time_s: float = 120.0, height_m: float | None = None, seed: int = 7,
     options: Sequence[str] = (), poses: Literal["navigation", "radar"] | Believe = "navigation",
-    progress: Callable[[str], None] | None = None,
+    vehicle: str | None = None, progress: Callable[[str], None] | None = None,
 ) -> Explored:  # fmt: skip
     """Explore a world by radar: fly where the map could learn most for the time, guard always on, and come home.
 
@@ -60,7 +61,8 @@ def explore(
         options: `a.b=value` over the scenario.
         poses: "navigation": that of the scenario, exact by default; "radar": odometry; or a callable that gives the
             believed pose of each step from the true one, of which a simulated IMU is made, and from the step's frames
-            without poses.
+            without poses; its attribute `lost`, if it has one, says why the latest pose is not to be trusted.
+        vehicle: live port of an aircraft that hovers, such as mavlink:udpin://127.0.0.1:14540; None: simulated.
         progress: called with what the vehicle is doing, in words.
 
     Returns:
@@ -80,7 +82,7 @@ def explore(
         scenario = flight_scenario(str(world), tasks=("map",), options=options, kind="explore")
     given = poses if callable(poses) else None
     flight = prepare(exploring(scenario, options), time_s=time_s, height_m=height_m, scene=scene, poses=given,
-                     report_progress=progress)  # fmt: skip
+                     vehicle=vehicle, report_progress=progress)  # fmt: skip
     kept = _Kept()
     plan = flight.loop.scenario.map
     grid = Grid.covering(flight.loop.scene.bounds, plan.step_m, margin_m=plan.margin_m)

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from ullage.arrays import Floats
-from ullage.config import Scenario
+from ullage.config import Scenario, SensingSpec
 from ullage.data import Frames, Trajectory, strung
 from ullage.errors import InputError, UllageWarning
 from ullage.experiments.radar_poses import LivePoses
-from ullage.flight.airframe import airframe
 from ullage.flight.live import Steered, Wish
 from ullage.flight.navigation import navigate
 from ullage.flight.vehicle import check_clear
@@ -24,13 +24,16 @@ from ullage.processing.guard import Guard, Limit, State
 from ullage.processing.obstacles import ObstacleSectors, ObstacleStage
 from ullage.radar.receiving import Receiving
 from ullage.radar.worker_pool import cores
-from ullage.specs import Rig
+from ullage.specs import RadarSpec, Rig
 from ullage.world.scene import Scene
 
 Progress = Callable[[float], None]
 Receive = Callable[[dict[str, Frames]], Mapping[str, Frames]]
 Believe = Callable[[Trajectory, Mapping[str, Frames]], Trajectory]
-"""Believed pose of a step from its true one, of which a simulated IMU is made, and from its frames without poses."""
+"""Believed pose of a step from its true one, of which a simulated IMU is made, and from its frames without poses.
+
+An attribute `lost`, where there is one, says why the latest pose is not to be trusted; it is empty otherwise.
+"""
 
 _ARRIVED_M = 0.12
 _PULL_S, _ACCELERATION_M_S2 = 1.0, 0.8  # towards the straight line between waypoints [1/s]; before the last one
@@ -46,7 +49,7 @@ class WaypointFollower:
 
     def __init__(self, points: Floats, speed_m_s: float) -> None:
         self._points, self._speed, self._next = points, speed_m_s, min(1, len(points) - 1)
-        self.arrived, self.landing = False, False
+        self.arrived, self.landing, self.landed = False, False, False
 
     @property
     def ahead(self) -> Floats:
@@ -94,8 +97,74 @@ class Pilot(Protocol):
     def landing(self) -> bool:
         """Whether it sinks to the ground: the guard then watches but limits nothing."""
 
+    @property
+    def landed(self) -> bool:
+        """Whether it is on the ground."""
+
     def velocity(self, position: Floats) -> Floats:
         """Velocity (3) wanted at a believed position (3) [m/s]."""
+
+
+class Vehicle(Protocol):
+    """A multirotor that flies as it is asked to: the simulated one, or an aircraft behind a port."""
+
+    @property
+    def hull_m(self) -> float:
+        """From its centre to its farthest part [m]."""
+
+    @property
+    def contacts(self) -> tuple[tuple[int, int, float], ...]:
+        """Each known contact: control step at which it began, number of the object, speed [m/s]."""
+
+    @property
+    def ended(self) -> str:
+        """Why it flies no more as it is asked to; empty while it does."""
+
+    def fly_to(self, t_ns: int) -> Trajectory | None:
+        """Fly until a time of the flight and return the pose then, or the next one [ns]; None: it has ended."""
+
+    def ask(self, wish: Wish) -> None:
+        """Change the request."""
+
+    def release(self, *, landed: bool) -> None:
+        """End the flight: on the ground, or hovering."""
+
+
+class Radars(Protocol):
+    """Radars on one body: simulated, or real ones."""
+
+    @property
+    def sensors(self) -> Mapping[str, RadarSpec]:
+        """Settings of each radar by name."""
+
+    def receive(self, body: Trajectory, number: int) -> dict[str, Frames]:
+        """Return the frames since the last call, up to the time of the body's pose.
+
+        Args:
+            body: one pose, where the body is.
+            number: of the step.
+        """
+
+    def close(self) -> None:
+        """End."""
+
+
+class SimulatedRadars:
+    """Radars that are simulated at each pose, each in a thread of its own."""
+
+    def __init__(self, scene: Scene, rig: Rig, sensing: SensingSpec, seed: int) -> None:
+        self._work = Receiving(scene, rig, fidelity=sensing.fidelity, max_bounces=sensing.max_bounces, seed=seed)
+        self.sensors, self._pool = self._work.sensors, ThreadPoolExecutor(cores())
+
+    def receive(self, body: Trajectory, number: int) -> dict[str, Frames]:
+        """Return one frame of each radar, at the pose."""
+        work = self._work
+        jobs = {name: self._pool.submit(work.samples, name, body, first_frame=number) for name in work.sensors}
+        return {name: work.frames(name, job.result(), body) for name, job in jobs.items()}
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.shutdown()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,6 +185,7 @@ class Flown:
     believed: Trajectory
     frames: dict[str, Frames]
     step: Step
+    lost: str = ""  # why the believed pose is not to be trusted
 
 
 @dataclass(slots=True, eq=False)
@@ -173,6 +243,8 @@ class Loop:
         stage: gives the obstacle distances.
         guarded: False: the guard watches but limits nothing, for comparison.
         poses: gives the believed poses; None: the scenario's navigation or odometry.
+        vehicle: that flies; None: the scenario's, simulated.
+        radars: on it; None: simulated at its poses.
     """
 
     scenario: Scenario
@@ -183,6 +255,8 @@ class Loop:
     stage: ObstacleStage | None = None
     guarded: bool = True
     poses: Believe | None = None
+    vehicle: Vehicle | None = None
+    radars: Radars | None = None
     contacts: tuple[tuple[float, str, float], ...] = ()  # of the latest flight: time [s], object, speed [m/s]
 
     def fly(self, points: Floats, *, progress: Progress | None = None) -> GuardedFlight:
@@ -217,7 +291,7 @@ class Loop:
                 progress(row / (longest_s * self.rate_hz))
         return GuardedFlight(strung(truths), strung(beliefs), frames, steps, self.contacts, follower.arrived)
 
-    def steps(self, pilot: Pilot, start: Floats, *, longest_s: float) -> Iterator[Flown]:
+    def steps(self, pilot: Pilot, start: Floats, *, longest_s: float) -> Generator[Flown, None, None]:
         """Fly step by step: the pilot's velocity, limited by the guard, holds until the next step.
 
         Args:
@@ -229,37 +303,49 @@ class Loop:
             InputError: the start is in or too near to something, or a frame takes longer than the guard's latency.
         """
         plan, guard_spec = self.scenario.flight, self.scenario.flight.guard
-        check_clear(start, plan.vehicle, self.scene)
         if self.poses is None and plan.poses == "radar":
             self.poses = LivePoses(self.scenario.seed)
         if 1 / self.rate_hz > guard_spec.latency_s:
             what = f"{self.rate_hz:g} frames a second and a latency of {guard_spec.latency_s:g} s"
             least = f">= one frame, {1 / self.rate_hz:.3g} s"
             raise InputError(what, where="flight.guard.latency_s", allowed=least)
-        vehicle = Steered(plan.vehicle, scene=self.scene, start=start, wind_m_s=plan.wind_m_s,
-                          gust_m_s=plan.gust_m_s, seed=self.scenario.seed, moving_s=longest_s)  # fmt: skip
-        sensing = self.scenario.sensing
-        work = Receiving(self.scene, self.rig, fidelity=sensing.fidelity, max_bounces=sensing.max_bounces,
-                         seed=self.scenario.seed)  # fmt: skip
-        stage = self.stage or ObstacleStage(work.sensors, stale_s=guard_spec.stale_s)
-        guard = Guard(guard_spec, hull_m=airframe(plan.vehicle).radius_m)
-        with ThreadPoolExecutor(cores()) as pool:
-            for row in range(round(longest_s * self.rate_hz)):
-                vehicle.advance(round(row * 1e9 / self.rate_hz))
+        vehicle = self.vehicle or self._simulated(start, longest_s)
+        try:
+            yield from self._steps(pilot, vehicle, longest_s)
+        finally:
+            vehicle.release(landed=pilot.landed)
+
+    def _simulated(self, start: Floats, longest_s: float) -> Vehicle:
+        """Put the scenario's vehicle into the air."""
+        plan = self.scenario.flight
+        check_clear(start, plan.vehicle, self.scene)
+        return Steered(plan.vehicle, scene=self.scene, start=start, wind_m_s=plan.wind_m_s, gust_m_s=plan.gust_m_s,
+                       seed=self.scenario.seed, moving_s=longest_s)  # fmt: skip
+
+    def _steps(self, pilot: Pilot, vehicle: Vehicle, longest_s: float) -> Iterator[Flown]:
+        guard_spec, rate_hz, row = self.scenario.flight.guard, self.rate_hz, 0
+        radars = self.radars or SimulatedRadars(self.scene, self.rig, self.scenario.sensing, self.scenario.seed)
+        stage = self.stage or ObstacleStage(radars.sensors, stale_s=guard_spec.stale_s)
+        guard, before = Guard(guard_spec, hull_m=vehicle.hull_m), list[Trajectory]()
+        with closing(radars):
+            while row < round(longest_s * rate_hz):
+                if (truth := vehicle.fly_to(round(row * 1e9 / rate_hz))) is None:
+                    return
                 self.contacts = tuple(
                     (step * 0.004, self.scene.objects[owner].name, speed) for step, owner, speed in vehicle.contacts
                 )
-                truth = _pose(vehicle)
-                jobs = {name: pool.submit(work.samples, name, truth, first_frame=row) for name in work.sensors}
-                samples = {name: job.result() for name, job in jobs.items()}
-                believed = self._believed(truth, {name: work.frames(name, one, truth) for name, one in samples.items()})
-                chunk = {name: work.frames(name, one, truth, believed=believed) for name, one in samples.items()}
+                received = radars.receive(truth, row)
+                believed = self._believed(truth, received)
+                chunk = {name: _placed(part, [*before, believed]) for name, part in received.items()}
+                before = [believed]
                 sectors = self._sectors(stage, chunk, int(truth.t_ns[0]))
                 wanted = pilot.velocity(believed.position[0])
                 limit = guard.limit(wanted, sectors, believed)
                 allowed = limit.velocity if self.guarded and not pilot.landing else wanted
                 vehicle.ask(_wish(allowed, pilot.heading_rad, believed))
-                yield Flown(truth, believed, chunk, Step(int(truth.t_ns[0]), sectors, wanted, limit))
+                step = Step(int(truth.t_ns[0]), sectors, wanted, limit)
+                yield Flown(truth, believed, chunk, step, getattr(self.poses, "lost", ""))
+                row = max(row, math.floor(truth.t_ns[0] * 1e-9 * rate_hz + 1e-6)) + 1  # an aircraft does not wait
 
     def _believed(self, truth: Trajectory, frames: dict[str, Frames]) -> Trajectory:
         nav = self.scenario.navigation
@@ -281,9 +367,11 @@ def _start(points: Floats) -> Floats:
     return np.append(points[0], math.degrees(math.atan2(ahead[1], ahead[0])))
 
 
-def _pose(vehicle: Steered) -> Trajectory:
-    one = (vehicle.position, vehicle.quat_xyzw, vehicle.velocity, vehicle.spin)
-    return Trajectory(np.array([vehicle.t_ns]), *(row[None] for row in one))
+def _placed(part: Frames, path: list[Trajectory]) -> Frames:
+    """Put frames on the last two believed poses of the body."""
+    now = path[-1]
+    body = now if np.array_equal(part.t_ns, now.t_ns) else strung(path).at(part.t_ns)
+    return replace(part, poses=body.mounted(part.spec.mount.body_from_sensor()))
 
 
 def _wish(velocity: Floats, heading_rad: float, believed: Trajectory) -> Wish:

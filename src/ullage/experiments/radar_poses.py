@@ -41,7 +41,7 @@ class RadarPoses:
         flown_by: OdometryResult | None = None,
     ) -> None:  # fmt: skip
         self._truth, self._seed, self._source, self._captured = truth, seed, source, captured
-        self._result, self._live = flown_by, flown_by is not None
+        self._result = flown_by
 
     @property
     def sentence(self) -> str:
@@ -86,8 +86,7 @@ class RadarPoses:
         more = f" and {len(spans) - 3} more times" if len(spans) > 3 else ""
         lines = [self.sentence]
         if spans:
-            unmapped = "" if self._live else " Frames of that time are not mapped."
-            lines.append(f"The poses are lost from {'; '.join(spans[:3])}{more}.{unmapped}")
+            lines.append(f"The poses are lost from {'; '.join(spans[:3])}{more}. Frames of that time are not mapped.")
         scores = {one.name: one for one in errors(found, self._truth)}
         rms, end, worst = (scores[name].value for name in ("pose_rms", "pose_end", "pose_sigmas"))
         share, last = (scores[name].value for name in ("pose_rms_of_path", "pose_end_of_path"))
@@ -170,6 +169,12 @@ class LivePoses:
             return truth
         state = (pose.position, pose.quat_xyzw, pose.velocity, pose.angular_velocity)
         return Trajectory(truth.t_ns, *(row[None] for row in state))
+
+    @property
+    def lost(self) -> str:
+        """Why the latest pose is not to be trusted; empty: it is."""
+        pose = None if self._work is None else self._work.pose
+        return "" if pose is None else pose.lost
 
     def read(self, imu: Imu) -> Imu:
         """Return what the unit gives; a faulty one gives something else."""

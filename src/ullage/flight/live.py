@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ullage.arrays import Floats
+from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.flight.airframe import Airframe, airframe
 from ullage.flight.control import Tables, air
@@ -139,7 +140,7 @@ class Steered:
         self._memory = self._tables.memory(airframe(vehicle).hover_rad_s)
         self._track = np.zeros((1, 14))
         self._wind = air(np.asarray(wind_m_s, float), gust_m_s, count=self._rows, rate_hz=CONTROL_HZ, seed=seed)
-        self._mass_kg = airframe(vehicle).mass_kg
+        self._mass_kg, self.hull_m = airframe(vehicle).mass_kg, airframe(vehicle).radius_m
         yaw = math.radians(float(place[3])) if len(place) == 4 else 0.0
         self._track[0, :3], self._track[0, 12] = place[:3], yaw
         self._collisions.data.qpos[:] = [*place[:3], math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]
@@ -151,6 +152,11 @@ class Steered:
     def t_ns(self) -> int:
         """Time flown [ns]."""
         return round(self.steps * 1e9 / CONTROL_HZ)
+
+    @property
+    def ended(self) -> str:
+        """Why it flies no more: never."""
+        return ""
 
     @property
     def touched(self) -> int:
@@ -190,6 +196,15 @@ class Steered:
         """Fly on until this time or the control step just before it."""
         while round((self.steps + 1) * 1e9 / CONTROL_HZ) <= until_ns:
             self._step()
+
+    def fly_to(self, t_ns: int) -> Trajectory:
+        """Advance to a time of the flight and return the pose then [ns]."""
+        self.advance(t_ns)
+        one = (self.position, self.quat_xyzw, self.velocity, self.spin)
+        return Trajectory(np.array([self.t_ns]), *(row[None] for row in one))
+
+    def release(self, *, landed: bool) -> None:
+        """Do nothing: nobody else flies it."""
 
     def _step(self) -> None:
         import mujoco

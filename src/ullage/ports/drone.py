@@ -1,7 +1,7 @@
 """Command an external drone through a port: receive its state, send velocities or set-points.
 
 `Guided` closes the loop between the request (`flight.live.Wish`) and the commands that the drone takes. It needs no
-middleware; the ports `ros2` and `gazebo` give a `Drone` each.
+middleware; the ports `ros2`, `gazebo`, `mavlink` and `imc` give a `Drone` each.
 """
 
 from __future__ import annotations
@@ -32,6 +32,22 @@ STALE_S = 1.0
 """A state older than this [s] is no ground for a command but to hover."""
 REFERENCE_M = 1.0
 """How far a moving set-point may run ahead of the drone [m]."""
+LEAD_S = 1.0
+"""How long the drone may take to it, so that a slower command leaves a nearer one [s]."""
+
+
+class CommandOptions(Spec):
+    """How a drone is commanded."""
+
+    takes: Takes = Field("velocity", description="what a drone of others is commanded by")
+    limit_m_s: float = Field(1.0, gt=0, le=20, description="greatest speed that it is commanded")
+
+
+class VehicleOptions(CommandOptions):
+    """A drone in the loop with radars and guard."""
+
+    hull_m: float = Field(0.4, gt=0, le=10, description="from the body's centre to its farthest part")
+    radars: str = Field("", description="live port of its radars; none: they are simulated at its poses")
 
 
 class DroneOptions(Spec):
@@ -40,6 +56,10 @@ class DroneOptions(Spec):
     odom: str = Field("", description="topic of that drone's odometry; none: odom, or /model/NAME/odometry in Gazebo")
     cmd_vel: str = Field("", description="topic of its velocities; none: cmd_vel, or /model/NAME/cmd_vel in Gazebo")
     setpoint: str = Field("", description="topic of its set-points; none: command/pose")
+
+
+class TopicVehicleOptions(VehicleOptions, DroneOptions):
+    """A drone in the loop, commanded by topics."""
 
 
 class Limits(NamedTuple):
@@ -80,9 +100,17 @@ class Drone(ABC):
     takes: ClassVar[tuple[Takes, ...]] = ("velocity", "pose")
     refusal = ""
     """Why it does not take the other commands."""
+    settings: ClassVar[type[VehicleOptions]] = TopicVehicleOptions
+    """Options of its address as a vehicle in the loop."""
+    away = ""
+    """Why it does not follow: somebody else flies it, or it is not ready; empty: it follows."""
+    broken = ""
+    """Why it can fly no more, as its states are not to be trusted or it refuses; empty: it can."""
 
     def __init__(self, odom: str, counters: Counters) -> None:
         self._odom, self.counters, self._last_ns = odom, counters, 0
+        self.answered_ns = 0
+        """Time of the state that the next commands answer; 0: unknown [ns since 1970]."""
 
     def states(self) -> list[BodyState]:
         """Return the states since the last call, in order of time."""
@@ -112,16 +140,24 @@ class Drone(ABC):
         """
         raise InputError(self.refusal, where="takes", allowed=", ".join(self.takes))
 
+    def hold(self) -> None:
+        """Let it hover by itself from now on."""
+        self.steer(HOVER)
+
+    def land(self) -> None:
+        """Tell it that it has landed, so that it stops its motors if it can."""
+        self.hold()
+
     @abstractmethod
     def close(self) -> None:
         """Leave the network."""
 
     @abstractmethod
-    def _arrived(self) -> Iterator[bytes]:
+    def _arrived(self) -> Iterator[Any]:
         """Give the odometry messages since the last call."""
 
     @abstractmethod
-    def _state(self, data: bytes) -> BodyState | str:
+    def _state(self, data: Any) -> BodyState | str:
         """Return the state in an odometry message, or what is wrong with it."""
 
 
@@ -150,6 +186,7 @@ class Guided:
         self._fresh_s = self._due_s = self._last_s = -math.inf
         self._step_s = COMMAND_S  # since the command before [s]
         self._reference: Floats | None = None  # the set-point that a velocity moves
+        self._moving = False
 
     @property
     def position(self) -> Floats | None:
@@ -172,13 +209,17 @@ class Guided:
         states, now = self._drone.states(), self._now()
         if states:
             self._state, self._fresh_s = states[-1], now
-        if self._asked and now >= self._due_s:
-            self._step_s = min(now - self._last_s, 2 * COMMAND_S)
-            self._last_s, self._due_s = now, now + COMMAND_S
-            self._command(now)
+        if now >= self._due_s:
+            self.command()
         return states
 
-    def _command(self, now: float) -> None:
+    def command(self) -> None:
+        """Send the command of the present request, if there is one; the next one is due a little later."""
+        now = self._now()
+        if not self._asked:
+            return
+        self._step_s = min(now - self._last_s, 2 * COMMAND_S)
+        self._last_s, self._due_s = now, now + COMMAND_S
         state = self._state
         stale = state is None or now - self._fresh_s > STALE_S
         if stale and not self._stale:
@@ -222,8 +263,12 @@ class Guided:
             v = self.velocity(state)
             cos, sin = math.cos(yaw), math.sin(yaw)
             step = np.array([v.forward_m_s * cos - v.left_m_s * sin, v.forward_m_s * sin + v.left_m_s * cos, v.up_m_s])
+            if not step.any() and self._moving:
+                self._reference = state.position.copy()
+            self._moving = bool(step.any())
+            most_m = min(REFERENCE_M, LEAD_S * float(np.linalg.norm(step))) if self._moving else REFERENCE_M
             away = self._reference + step * self._step_s - state.position
-            away *= min(1.0, REFERENCE_M / max(float(np.linalg.norm(away)), 1e-12))
+            away *= min(1.0, most_m / max(float(np.linalg.norm(away)), 1e-12))
             self._reference = state.position + away
             if wish.height_m is not None:
                 self._reference[2] = wish.height_m

@@ -34,7 +34,7 @@ class Port(NamedTuple):
 
     source: str
     sink: str = ""
-    drone: str = ""  # takes commands; of a place and `DroneOptions`
+    drone: str = ""  # takes commands; of a place and the options that its `settings` name
     controls: str = ""  # gives commands
     poses: str = ""  # gives poses of a vehicle, as `pose_events.Feed` does
 
@@ -51,8 +51,13 @@ LIVE = {
         "gazebo.transport_source.open_source", "gazebo.sink.open_transport_sink", "gazebo.drone.GazeboDrone"
     ),
     "gazebo-classic": Port("gazebo.classic_source.open_source", "gazebo.sink.open_classic_sink"),
-    "imc": Port("imc.source.ImcSource", "imc.sink.ImcSink", poses="imc.poses.open_poses"),
-    "mavlink": Port("mavlink.source.open_source", "mavlink.sink.MavlinkSink", poses="mavlink.source.open_poses"),
+    "imc": Port("imc.source.ImcSource", "imc.sink.ImcSink", "imc.drone.ImcDrone", poses="imc.poses.open_poses"),
+    "mavlink": Port(
+        "mavlink.source.open_source",
+        "mavlink.sink.MavlinkSink",
+        "mavlink.drone.MavlinkDrone",
+        poses="mavlink.source.open_poses",
+    ),
     "x4": Port("instruments.x4.open_source"),
     "mrm": Port("instruments.mrm.open_source"),
     "acconeer": Port("instruments.acconeer.open_source"),

@@ -48,8 +48,8 @@ def announce(t_s: float, *, src: int = VEHICLE, name: bytes = NAME, services: by
 
 
 def estimated_state(t_s: float, north: float, east: float, down: float, psi: float, **header) -> bytes:
-    """An EstimatedState that moves north at half a metre a second."""
-    order = header.get("order", "<")
+    """An EstimatedState that moves north at half a metre a second, or as told."""
+    order, (vx, vy, vz) = header.get("order", "<"), header.pop("velocity", (0.5, 0, 0))
     body = struct.pack(
         order + "ddf3f3f3f3f3fff",
         LAT,
@@ -64,9 +64,9 @@ def estimated_state(t_s: float, north: float, east: float, down: float, psi: flo
         0.5,
         0,
         0,
-        0.5,
-        0,
-        0,
+        vx,
+        vy,
+        vz,
         0,
         0,
         0,

@@ -159,4 +159,41 @@ class Follower:
         return encode(Packet(make("FollowRefState", reference=reference, **values), now, VEHICLE, 7))
 
 
-__all__ = ["VEHICLE", "Follower", "Peer"]
+class Copter(Follower):
+    """A multirotor that flies to References in real time, with a lag, and says which plan runs.
+
+    Args:
+        start: north, east, down from its reference [m].
+    """
+
+    def __init__(self, start: tuple[float, float, float]) -> None:
+        super().__init__()
+        self.north, self.east, self.down = start
+        self.plan, self.track, self.asked_s = "", [], []
+        self._velocity = [0.0, 0.0, 0.0]
+
+    def react(self, packet: Packet, now: float) -> bytes:
+        if packet.name == "PlanControl":
+            self.plan = packet["plan_id"] if packet["op"] == 0 else ""
+        if packet.name == "Reference":
+            self.asked_s.append(now)
+        return super().react(packet, now)
+
+    def tick(self, now: float) -> bytes:
+        step = 0.0 if self._last is None else min(now - self._last, 0.1)
+        self._last = now
+        place = [self.north, self.east, self.down]
+        gap = (
+            [0.0] * 3 if self.goal is None or not self.plan else [g - h for g, h in zip(self.goal, place, strict=True)]
+        )
+        far = max(math.hypot(*gap), 1e-9)
+        wanted = [g / far * min(self.speed, 2 * far) for g in gap]
+        self._velocity = [v + (w - v) / 0.25 * step for v, w in zip(self._velocity, wanted, strict=True)]
+        self.north, self.east, self.down = (p + v * step for p, v in zip(place, self._velocity, strict=True))
+        self.track.append((self.north, self.east, self.down))
+        values = {"state": 3 if self.plan else 1, "plan_id": self.plan}
+        told = encode(Packet(make("PlanControlState", **values), now, VEHICLE, 7))
+        return told + estimated_state(now, self.north, self.east, self.down, 0.0, velocity=tuple(self._velocity))
+
+
+__all__ = ["VEHICLE", "Copter", "Follower", "Peer"]

@@ -7,8 +7,9 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
+import numpy as np
 from pymavlink.dialects.v20 import common as mav
 
 
@@ -103,10 +104,7 @@ class Autopilot:
                 continue
             if now - heartbeat >= 0.5:
                 heartbeat = now
-                kind, flags = (
-                    (mav.MAV_AUTOPILOT_PX4, 0) if self.mode is None else (mav.MAV_AUTOPILOT_ARDUPILOTMEGA, 209)
-                )
-                self.send(mav.MAVLink_heartbeat_message(mav.MAV_TYPE_QUADROTOR, kind, flags, self.mode or 0, 4, 3))
+                self.send(self._heartbeat())
             if now - question >= 0.5:
                 question = now
                 self.send(mav.MAVLink_timesync_message(0, self.clock_ns()))
@@ -114,6 +112,19 @@ class Autopilot:
                 pose = now
                 for message in self._poses(self.clock_ns() * 1e-9):
                     self.send(message)
+
+    def _heartbeat(self) -> Any:
+        kind, flags = (mav.MAV_AUTOPILOT_PX4, 0) if self.mode is None else (mav.MAV_AUTOPILOT_ARDUPILOTMEGA, 209)
+        return mav.MAVLink_heartbeat_message(mav.MAV_TYPE_QUADROTOR, kind, flags, self.mode or 0, 4, 3)
+
+    def _commanded(self, message: Any) -> None:
+        """Answer a COMMAND_LONG."""
+        if message.command == mav.MAV_CMD_DO_SET_MODE:
+            self.mode = int(message.param2)
+            self.send(mav.MAVLink_command_ack_message(message.command, mav.MAV_RESULT_ACCEPTED))
+        elif self._denies is not None:
+            result = mav.MAV_RESULT_DENIED if message.param1 in self._denies else mav.MAV_RESULT_ACCEPTED
+            self.send(mav.MAVLink_command_ack_message(message.command, result))
 
     def _receive(self) -> None:
         try:
@@ -123,12 +134,8 @@ class Autopilot:
         now = time.monotonic_ns()
         for message in self._mav.parse_buffer(data) or []:
             self.got.append((now * 1e-9, message))
-            if message.get_type() == "COMMAND_LONG" and message.command == mav.MAV_CMD_DO_SET_MODE:
-                self.mode = int(message.param2)
-                self.send(mav.MAVLink_command_ack_message(message.command, mav.MAV_RESULT_ACCEPTED))
-            elif message.get_type() == "COMMAND_LONG" and self._denies is not None:
-                result = mav.MAV_RESULT_DENIED if message.param1 in self._denies else mav.MAV_RESULT_ACCEPTED
-                self.send(mav.MAVLink_command_ack_message(message.command, result))
+            if message.get_type() == "COMMAND_LONG":
+                self._commanded(message)
             if message.get_type() != "TIMESYNC" or self.silent:
                 continue
             if message.tc1 == 0 and self._timesync:
@@ -162,3 +169,72 @@ def local_poses(
         ]
 
     return poses
+
+
+class Copter(Autopilot):
+    """A multirotor that flies SET_POSITION_TARGET_LOCAL_NED while its pilot lets it, with dynamics of its own.
+
+    It reaches a velocity with a lag of 0.25 s. Without a set-point for a second it hovers.
+
+    Args:
+        start: north, east, down [m].
+        ground_m: how far down the ground is [m].
+        px4: it speaks as PX4; else as ArduCopter.
+        mode: as the pilot chose it: "GUIDED" or "OFFBOARD", "LOITER", "BRAKE", "LAND".
+        boot_ns: what its clock is ahead of this machine's monotonic one [ns].
+    """
+
+    MODES: ClassVar = {"GUIDED": 4, "OFFBOARD": 6 << 16, "LOITER": 5, "BRAKE": 17, "HOLD": 4 << 16 | 3 << 24}
+
+    def __init__(
+        self, start: tuple[float, float, float], *, ground_m: float = 1.4, px4: bool = False, mode: str = "",
+        boot_ns: int = 0,
+    ) -> None:  # fmt: skip
+        self.place, self.velocity, self.yaw, self.ground_m = np.array(start), np.zeros(3), 0.0, ground_m
+        self.chosen, self.armed, self.px4, self.lags_s = mode or ("OFFBOARD" if px4 else "GUIDED"), True, px4, []
+        self.track: list[tuple[float, Any]] = []
+        self._seen, self._then, self._wish, self._wish_s = 0, 0.0, (np.zeros(3), 0.0), -math.inf
+        super().__init__(poses=self._fly, boot_ns=boot_ns)
+
+    def tell(self, poses: Callable[[float], list[Any]]) -> None:
+        """Send other poses."""
+        self._poses = poses
+
+    @property
+    def follows(self) -> bool:
+        """Whether it flies set-points."""
+        return self.armed and self.chosen == ("OFFBOARD" if self.px4 else "GUIDED")
+
+    def _heartbeat(self) -> Any:
+        kind = mav.MAV_AUTOPILOT_PX4 if self.px4 else mav.MAV_AUTOPILOT_ARDUPILOTMEGA
+        return mav.MAVLink_heartbeat_message(2, kind, 209 if self.armed else 81, self.MODES[self.chosen], 4, 3)
+
+    def _commanded(self, message: Any) -> None:
+        if message.command == mav.MAV_CMD_DO_SET_MODE:
+            self.chosen = "HOLD" if self.px4 and (message.param2, message.param3) == (4, 3) else "BRAKE"
+        elif message.command == mav.MAV_CMD_NAV_LAND:
+            self.armed = False
+        self.send(mav.MAVLink_command_ack_message(message.command, mav.MAV_RESULT_ACCEPTED))
+
+    def _fly(self, t_s: float) -> list[Any]:
+        step_s, self._then = min(t_s - self._then, 0.1) if self._then else 0.0, t_s
+        for at_s, message in self.got[self._seen :]:
+            self._seen += 1
+            if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
+                assert message.type_mask == 0x5C7 or not self.follows
+                assert message.coordinate_frame == mav.MAV_FRAME_LOCAL_NED
+                self._wish = np.array([message.vx, message.vy, message.vz]), message.yaw_rate
+                self._wish_s = at_s
+                self.lags_s.append(self.clock_ns(round(at_s * 1e9)) * 1e-9 - message.time_boot_ms * 1e-3)
+        fresh = self.follows and time.monotonic() - self._wish_s < 1.0
+        velocity, turn = self._wish if fresh else (np.zeros(3), 0.0)
+        self.velocity = self.velocity + np.clip((velocity - self.velocity) / 0.25, -3, 3) * step_s
+        self.place = self.place + self.velocity * step_s
+        self.place[2] = min(self.place[2], self.ground_m)
+        self.yaw += turn * step_s
+        self.track.append((t_s, self.place.copy()))
+        ms, half = round(t_s * 1000), self.yaw / 2
+        return [
+            mav.MAVLink_attitude_quaternion_message(ms, math.cos(half), 0, 0, math.sin(half), 0, 0, turn),
+            mav.MAVLink_local_position_ned_message(ms, *self.place, *self.velocity),
+        ]

@@ -39,7 +39,7 @@ class FakeLink:
     """A link to an ArduCopter without wires."""
 
     sent: list[Any] = field(default_factory=list)
-    watch: Any = None
+    watchers: list[Any] = field(default_factory=list)
     request_hz: float = 0.0
     poses_come: bool = False
     dialect: Any = mav
@@ -73,16 +73,18 @@ class Copter:
         north, east = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]) @ self.velocity
         for k in range(round(10 * seconds)):
             self.now += 0.1
-            self.link.watch(mav.MAVLink_heartbeat_message(self._vehicle, self._kind, self._flags, self.mode, 4, 3))
+            self.link.watchers[0](
+                mav.MAVLink_heartbeat_message(self._vehicle, self._kind, self._flags, self.mode, 4, 3)
+            )
             quat = rpy_quat(0.1, 0.0, yaw)[[3, 0, 1, 2]]
-            self.link.watch(mav.MAVLink_attitude_quaternion_message(0, *quat, 0, 0, 0) if k % 2 else
+            self.link.watchers[0](mav.MAVLink_attitude_quaternion_message(0, *quat, 0, 0, 0) if k % 2 else
                             mav.MAVLink_attitude_message(0, 0.1, 0.0, yaw, 0, 0, 0))  # fmt: skip
-            self.link.watch(mav.MAVLink_local_position_ned_message(0, 5, 5, -2, north, east, 0.5))
+            self.link.watchers[0](mav.MAVLink_local_position_ned_message(0, 5, 5, -2, north, east, 0.5))
             before = self.asked
             self.brake.judge(self._approached(seen), age_s)
             if self.obeys and self.asked > before:
                 self.mode = int(self.link.sent[-1].param2)
-                self.link.watch(mav.MAVLink_command_ack_message(mav.MAV_CMD_DO_SET_MODE, 0))
+                self.link.watchers[0](mav.MAVLink_command_ack_message(mav.MAV_CMD_DO_SET_MODE, 0))
         return self
 
     def _approached(self, seen: ObstacleSectors) -> ObstacleSectors:

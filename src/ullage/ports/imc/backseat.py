@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ullage.arrays import Floats
 from ullage.flight.missions import Waypoints
@@ -33,6 +34,88 @@ SAME_PLACE_RAD = 1e-7
 PLAN = "ullage"
 
 
+class Follow:
+    """Let a vehicle follow references: start the plan, send them, and stop it.
+
+    Args:
+        link: to the vehicle's bus.
+        z: kind of height sent: "height" over the ellipsoid, "altitude" over the ground, "depth" under the origin.
+        radius_m: on which it may loiter about a place [m].
+        log: takes lines for the user.
+    """
+
+    def __init__(self, link: Link, *, z: str, radius_m: float, log: Log) -> None:
+        self._link, self._units, self._radius_m, self._log = link, UNITS[z], radius_m, log
+        self.vehicle: int | None = None
+        self.refused = self.accepted = self.stopped = False
+        self.place: Geodetic | None = None  # of the last Reference
+        self._request, self._asked = 0, -math.inf
+        self._patience_s = ANSWER_S
+        self._stop: tuple[int, float] | None = None  # request to stop, and when it was first sent [s]
+
+    @property
+    def over(self) -> bool:
+        """Whether the vehicle refused, stopped the plan, or does not answer the request to."""
+        if self.refused or self.stopped:
+            return True
+        return self._stop is not None and time.monotonic() - self._stop[1] > RELEASE_S
+
+    def take(self, packet: Packet) -> None:
+        """Handle the vehicle's answers."""
+        if packet.src != self.vehicle or packet.name != "PlanControl" or packet["type"] == REQUEST:
+            return
+        answer = packet["type"]
+        if self._stop is not None:
+            self.stopped |= packet["request_id"] == self._stop[0] and answer in (SUCCESS, FAILURE)
+        elif packet["request_id"] != self._request or packet["op"] != START:
+            return
+        elif answer == IN_PROGRESS:
+            self._patience_s = CALIBRATION_S
+        elif answer == SUCCESS and not self.accepted:
+            self.accepted = True
+            self._log(f"system {packet.src:#06x} follows")
+        elif answer == FAILURE and not self.refused:
+            self.refused = True
+            why = readable(packet["info"], 200) or "it does not say why"
+            self._log(f"system {packet.src:#06x} does not follow: {why}")
+
+    def start(self) -> None:
+        """Start the plan, again until it is answered."""
+        now = time.monotonic()
+        if self.accepted or now - self._asked <= self._patience_s:
+            return
+        self._asked, self._request = now, (self._request + 1) % 65536
+        follow = make(
+            "FollowReference", control_src=self._link.me.system_id, control_ent=255, timeout=10.0,
+            loiter_radius=max(self._radius_m, 1.0), altitude_interval=max(self._radius_m / 2, 0.5),
+        )  # fmt: skip
+        self._send("PlanControl", type=REQUEST, op=START, request_id=self._request, plan_id=PLAN,
+                   flags=IGNORE_ERRORS, arg=follow)  # fmt: skip
+
+    def refer(self, goal: ArrayLike, speed_m_s: float, origin: Geodetic, *, flags: int = 0) -> None:
+        """Send a reference: a place (3) in the world [m] and a speed."""
+        x, y, z = (float(value) for value in np.asarray(goal, float))
+        there = self.place = origin.moved(SWAP @ [x, y, z])
+        values = {1: -z, 2: z, 3: there.height_m}
+        self._send(
+            "Reference", flags=LOCATION | SPEED | HEIGHT_FLAG | flags, lat=there.lat_rad, lon=there.lon_rad,
+            speed=make("DesiredSpeed", value=speed_m_s, speed_units=0),
+            z=make("DesiredZ", value=values[self._units], z_units=self._units),
+        )  # fmt: skip
+
+    def stop(self) -> None:
+        """Ask the vehicle to stop our plan."""
+        if self.vehicle is None or not self._request or self.refused or self.stopped:
+            return
+        if self._stop is None:
+            self._stop = ((self._request + 1) % 65536, time.monotonic())
+        self._send("PlanControl", type=REQUEST, op=STOP, request_id=self._stop[0], plan_id=PLAN)
+
+    def _send(self, kind: str, **values: Any) -> None:
+        if self.vehicle is not None:
+            self._link.send(make(kind, **values), entity=1, dst=self.vehicle, dst_ent=255)
+
+
 class Backseat:
     """Lead a vehicle from waypoint to waypoint.
 
@@ -51,54 +134,28 @@ class Backseat:
     def __init__(
         self, link: Link, mission: Waypoints, *, z: str, near_m: float, log: Log
     ) -> None:  # fmt: skip
-        self._link, self._mission, self._units, self._near, self._log = link, mission, UNITS[z], near_m, log
+        self._link, self._mission, self._near, self._log = link, mission, near_m, log
+        self._follow = Follow(link, z=z, radius_m=near_m, log=log)
         self.target = 0
-        self.done = self.refused = False
-        self._accepted = self._loiters = False
-        self._vehicle: int | None = None
-        self._place: Geodetic | None = None  # of the last Reference
-        self._request, self._asked, self._sent_s = 0, -math.inf, -math.inf
-        self._patience_s = ANSWER_S
-        self._stop: tuple[int, float] | None = None  # request to stop, and when it was first sent [s]
-        self._stopped = False
+        self.done = self._loiters = False
+        self._sent_s = -math.inf
         self._last: Floats | None = None  # last position of the vehicle
         self._least_m, self._travelled_m = math.inf, 0.0  # least distance from the target, and path length since then
 
     @property
     def finished(self) -> bool:
         """Whether the mission is over: the vehicle refused, stopped the plan, or does not answer."""
-        if self.refused or self._stopped:
-            return True
-        return self._stop is not None and time.monotonic() - self._stop[1] > RELEASE_S
+        return self._follow.over
 
     def take(self, packet: Packet) -> None:
         """Handle the vehicle's answers."""
-        if packet.src != self._vehicle:
-            return
-        if packet.name == "FollowRefState":
+        self._follow.take(packet)
+        if packet.src == self._follow.vehicle and packet.name == "FollowRefState":
             self._loiters = self._loiters or self._loiters_there(packet)
-        elif packet.name == "PlanControl" and packet["type"] != REQUEST:
-            self._answered(packet)
-
-    def _answered(self, packet: Packet) -> None:
-        answer = packet["type"]
-        if self._stop is not None:
-            self._stopped |= packet["request_id"] == self._stop[0] and answer in (SUCCESS, FAILURE)
-        elif packet["request_id"] != self._request or packet["op"] != START:
-            return
-        elif answer == IN_PROGRESS:
-            self._patience_s = CALIBRATION_S
-        elif answer == SUCCESS and not self._accepted:
-            self._accepted = True
-            self._log(f"system {packet.src:#06x} follows")
-        elif answer == FAILURE and not self.refused:
-            self.refused = True
-            why = readable(packet["info"], 200) or "it does not say why"
-            self._log(f"system {packet.src:#06x} does not follow: {why}")
 
     def _loiters_there(self, packet: Packet) -> bool:
         """Whether DUNE reports that the vehicle loiters at the point of the last Reference."""
-        reported, sent = packet["reference"], self._place
+        reported, sent = packet["reference"], self._follow.place
         if packet["control_src"] != self._link.me.system_id or reported is None or reported.name != "Reference":
             return False
         if sent is None:
@@ -109,26 +166,28 @@ class Backseat:
 
     def lead(self, vehicle: int, pose: BodyState, origin: Geodetic) -> None:
         """Send the messages that are due at this pose of the vehicle."""
-        self._vehicle = vehicle
-        if self.refused:
+        self._follow.vehicle = vehicle
+        if self._follow.refused:
             return
         now = time.monotonic()
+        due = now - self._sent_s >= EVERY_S
         if self.done:
-            if now - self._sent_s >= EVERY_S and not self.finished:
+            if due and not self.finished:
                 self._sent_s = now
-                self._ask_stop(vehicle)
+                self._follow.stop()
             return
-        if not self._accepted and now - self._asked > self._patience_s:
-            self._asked = now
-            self._start(vehicle)
+        self._follow.start()
         while self.target < len(self._mission) and self._reached(pose):
             self.target += 1
             self._loiters, self._least_m, self._travelled_m = False, math.inf, 0.0
         if self.target >= len(self._mission):
-            self._end(vehicle, origin)
-        elif now - self._sent_s >= EVERY_S:
+            self.done, self._sent_s = True, now
+            self._refer(origin, len(self._mission) - 1, DONE)
+            self._follow.stop()
+            self._log("the mission is flown")
+        elif due:
             self._sent_s = now
-            self._refer(vehicle, origin, self.target, LOCATION | SPEED | HEIGHT_FLAG)
+            self._refer(origin, self.target, 0)
 
     def _reached(self, pose: BodyState) -> bool:
         away: Floats = self._mission.points[self.target] - pose.position
@@ -137,7 +196,7 @@ class Backseat:
             return True
         step_m = 0.0 if self._last is None else float(np.linalg.norm(pose.position - self._last))
         self._last = pose.position
-        if not self._accepted or abs(float(away[2])) > min(self._near, NEAR_Z_M):
+        if not self._follow.accepted or abs(float(away[2])) > min(self._near, NEAR_Z_M):
             return False
         across_m = math.hypot(away[0], away[1])
         if across_m < 0.95 * self._least_m:
@@ -147,43 +206,9 @@ class Backseat:
         circles = self._travelled_m > TURN * self._least_m and across_m < 1.2 * self._least_m
         return self._loiters or circles
 
-    def _start(self, vehicle: int) -> None:
-        self._request = (self._request + 1) % 65536
-        follow = make(
-            "FollowReference", control_src=self._link.me.system_id, control_ent=255, timeout=10.0,
-            loiter_radius=max(self._near, 1.0), altitude_interval=max(self._near / 2, 0.5),
-        )  # fmt: skip
-        self._send(
-            vehicle, "PlanControl", type=REQUEST, op=START, request_id=self._request, plan_id=PLAN,
-            flags=IGNORE_ERRORS, arg=follow,
-        )  # fmt: skip
-
-    def _refer(self, vehicle: int, origin: Geodetic, index: int, flags: int) -> None:
-        goal = self._mission.points[index]
-        there = self._place = origin.moved(SWAP @ goal)
-        values = {1: -goal[2], 2: goal[2], 3: there.height_m}
-        self._send(
-            vehicle, "Reference", flags=flags, lat=there.lat_rad, lon=there.lon_rad,
-            speed=make("DesiredSpeed", value=self._mission.speed_m_s, speed_units=0),
-            z=make("DesiredZ", value=float(values[self._units]), z_units=self._units),
-        )  # fmt: skip
-
-    def _end(self, vehicle: int, origin: Geodetic) -> None:
-        self.done, self._sent_s = True, time.monotonic()
-        self._refer(vehicle, origin, len(self._mission) - 1, LOCATION | SPEED | HEIGHT_FLAG | DONE)
-        self._ask_stop(vehicle)
-        self._log("the mission is flown")
-
-    def _ask_stop(self, vehicle: int) -> None:
-        """Ask the vehicle to stop our plan, again until it answers."""
-        if self._stop is None:
-            self._stop = ((self._request + 1) % 65536, time.monotonic())
-        self._send(vehicle, "PlanControl", type=REQUEST, op=STOP, request_id=self._stop[0], plan_id=PLAN)
+    def _refer(self, origin: Geodetic, index: int, flags: int) -> None:
+        self._follow.refer(self._mission.points[index], self._mission.speed_m_s, origin, flags=flags)
 
     def release(self) -> None:
         """Stop the plan at the end of a run."""
-        if self._vehicle is not None and self._request and not (self.refused or self._stopped):
-            self._ask_stop(self._vehicle)
-
-    def _send(self, vehicle: int, kind: str, **values: Any) -> None:
-        self._link.send(make(kind, **values), entity=1, dst=vehicle, dst_ent=255)
+        self._follow.stop()

@@ -8,8 +8,9 @@ from typing import Any, Literal
 from pydantic import Field, field_validator
 
 from ullage.errors import InputError
+from ullage.ports import drone
 from ullage.ports.cosimulation import SensingOptions
-from ullage.ports.drone import DroneOptions
+from ullage.ports.drone import CommandOptions, DroneOptions, Takes
 from ullage.ports.geodetic import TRONDHEIM, Geodetic, datum_of
 from ullage.ports.imc.table import Table, from_xml, own
 from ullage.ports.live import point_of
@@ -75,7 +76,19 @@ class PoseOptions(PlaceOptions):
     state: Literal["EstimatedState", "SimulatedState"] = "EstimatedState"
 
 
-class SourceOptions(PoseOptions, SensingOptions, DroneOptions):
+class FollowOptions(PoseOptions):
+    """A vehicle on the bus, and how heights are told to it."""
+
+    z: Literal["height", "altitude", "depth"] = Field("height", description="how heights are told to the vehicle")
+
+
+class VehicleOptions(FollowOptions, drone.VehicleOptions):
+    """The same in the loop with radars and guard: it takes places."""
+
+    takes: Takes = "pose"
+
+
+class SourceOptions(FollowOptions, SensingOptions, DroneOptions, CommandOptions):
     """Options of a source on the bus."""
 
     world: str = Field(
@@ -88,12 +101,9 @@ class SourceOptions(PoseOptions, SensingOptions, DroneOptions):
     typed: bool = Field(False, description="pass it on as the message of imc_msgs with its fields too")
     speed_m_s: float = Field(0.5, gt=0, le=50)
     near_m: float = Field(1.0, gt=0, le=1000, description="a waypoint this near is reached")
-    z: Literal["height", "altitude", "depth"] = Field("height", description="how heights are told to the vehicle")
     fly: str = Field(
         "", description="be the vehicle that DUNE's controllers fly: hector, or a drone of others, as ros2:NAMESPACE"
     )
-    takes: Literal["velocity", "pose"] = Field("velocity", description="what a drone of others is commanded by")
-    limit_m_s: float = Field(1.0, gt=0, le=20, description="greatest speed that it is commanded")
     timeout_s: float = Field(2.5, gt=0, le=60, description="hover when the controller says nothing for so long")
     start: str = Field("0,0,1", description="where it hovers at first: x,y,z [m], and yaw [deg] or not")
     state_hz: float = Field(20.0, gt=0, le=250, description="EstimatedStates a second, when flying")

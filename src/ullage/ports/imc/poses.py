@@ -12,7 +12,7 @@ from ullage.ports.imc.options import PoseOptions
 from ullage.ports.imc.wires import Entity, Identity
 from ullage.ports.intake import warn
 from ullage.ports.live import options_of
-from ullage.ports.pose_events import BodyState, ModelPose
+from ullage.ports.pose_events import BodyState
 
 
 class PoseFeed:
@@ -34,7 +34,7 @@ class PoseFeed:
         )
         self._ready: deque[BodyState] = deque()
 
-    def next(self, timeout_s: float) -> ModelPose | None:
+    def next(self, timeout_s: float) -> BodyState | None:
         """Return the next pose, or None if none came within the timeout.
 
         Raises:
@@ -47,10 +47,7 @@ class PoseFeed:
             if self._link.finished:
                 raise InputError("the bus is gone", where="imc")
             return None
-        state = self._ready.popleft()
-        x, y, z = state.position.tolist()
-        a, b, c, d = state.quat_xyzw.tolist()
-        return ModelPose(state.t_ns, (x, y, z), (a, b, c, d))
+        return self._ready.popleft()
 
     def close(self) -> None:
         """Let go of the link, unless a sink still uses it."""

@@ -12,7 +12,7 @@ import numpy as np
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.ports.cosimulation import rig_of, world_of
-from ullage.ports.drone import Drone, Guided, Limits
+from ullage.ports.drone import Drone, DroneOptions, Guided, Limits
 from ullage.ports.geodetic import TRONDHEIM
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet
@@ -104,7 +104,7 @@ class ImcSource(LiveSource):
                 o.fly, scene=self.scene, start=start, rate_hz=o.state_hz, pace=o.pace, log=self._log
             )  # fmt: skip
         made: Any = address.part("drone")
-        if made is None:
+        if made is None or not issubclass(made.settings, DroneOptions):
             raise InputError(f"no drone at {o.fly!r}", where="fly", allowed="a vehicle, ros2:NAMESPACE, gazebo:MODEL")
         if o.takes not in made.takes:
             raise InputError(made.refusal, where=o.fly, allowed=f"takes={made.takes[0]}")

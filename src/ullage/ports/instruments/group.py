@@ -22,7 +22,7 @@ from ullage.errors import InputError, one_line
 from ullage.ports.instruments.source import BATCH_S, RETRY_S, InstrumentClock, InstrumentSource, NotReadyError
 from ullage.ports.intake import PATIENCE_S, Counters, Inbox, Log, Place, PoseQueue, checked_pose
 from ullage.ports.live import Address, LiveSource
-from ullage.ports.pose_events import ModelPose, PoseTrack, TimedPose, path_through
+from ullage.ports.pose_events import BodyState, ModelPose, PoseTrack, TimedPose, path_through
 from ullage.ports.protocol import of_one_kind
 from ullage.ports.publisher import is_present
 from ullage.specs import Rig
@@ -48,7 +48,7 @@ class _Row(NamedTuple):
 class _Pose(NamedTuple):
     """One pose as it came."""
 
-    pose: ModelPose
+    pose: ModelPose | BodyState
     arrived_s: float  # on this computer's clock [s]
 
 
@@ -156,7 +156,7 @@ class InstrumentGroup(LiveSource):
         try:
             while not self._leaving.is_set():
                 found = self._feed.next(BATCH_S)
-                if isinstance(found, ModelPose):
+                if isinstance(found, ModelPose | BodyState):
                     self._inbox.put(_Pose(found, time.time()))
                 elif found is not None:
                     self._inbox.put(str(found.text))

@@ -69,7 +69,7 @@ class ModeBrake:
         self._unsafe_s: float | None = None  # when it was unsafe last; None: no event
         self._from, self._asks, self._asked_s, self._answer = -1, 0, 0.0, -1  # of the event
         self._warn = Once(lambda text: send_text(link.dialect.MAV_SEVERITY_CRITICAL, text))
-        link.watch = self._take
+        link.watchers.append(self._take)
         link.request_hz = link.request_hz or POSES_HZ
 
     def _take(self, message: Any) -> None:

@@ -169,8 +169,8 @@ class Link(Closing):
         """Whether poses came since the autopilot was asked; else it is asked again, save for what it denied."""
         self.listens = False
         """Whether somebody takes the poses."""
-        self.watch: Callable[[Any], None] | None = None
-        """Takes each message of the autopilot, in the link's thread."""
+        self.watchers: list[Callable[[Any], None]] = []
+        """Each takes every message of the autopilot, in the link's thread."""
         self._wire, self._log = wire, log
         self._mav = self.dialect.MAVLink(None)
         self.events: Inbox[PoseMessage] = Inbox(self.counters, most=20_000)
@@ -292,8 +292,9 @@ class Link(Closing):
         elif self.listens:
             self.events.put(PoseMessage(kind, message))
         there = self.autopilot
-        if self.watch is not None and there is not None and (system, component) == (there.system, there.component):
-            self.watch(message)
+        if there is not None and (system, component) == (there.system, there.component):
+            for take in self.watchers:
+                take(message)
 
     def _heartbeat(self, message: Any, system: int, component: int) -> None:
         d, now = self.dialect, time.monotonic()

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from ullage.ports import network
 from ullage.ports.cosimulation import RadarOptions
+from ullage.ports.drone import VehicleOptions
 from ullage.ports.network import MOST_PORT, Place
 from ullage.specs import Spec
 
@@ -43,7 +44,7 @@ class LinkOptions(Spec):
 
 
 class PoseOptions(LinkOptions):
-    """Poses of the autopilot's vehicle."""
+    """Poses that come from the autopilot."""
 
     poses: Literal["auto", "odometry", "local"] = Field(
         "auto", description="ODOMETRY, or LOCAL_POSITION_NED with ATTITUDE; auto: ODOMETRY where it comes"
@@ -59,6 +60,10 @@ class SourceOptions(RadarOptions, PoseOptions):
     stagger: bool = Field(
         True, description="another pulse interval in every second frame, so that folded echoes jump from frame to frame"
     )
+
+
+class DroneOptions(VehicleOptions, PoseOptions):
+    """The autopilot's vehicle, commanded by set-points."""
 
 
 class SinkOptions(LinkOptions):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -17,14 +18,16 @@ from ullage.ports.intake import Counters, Log, Place, PoseQueue, checked_pose, w
 from ullage.ports.live import options_of, point_of
 from ullage.ports.mavlink.link import POSES, Link, PoseMessage, leave, open_link
 from ullage.ports.mavlink.options import PoseOptions, SourceOptions
-from ullage.ports.ned import enu_position, enu_quat
-from ullage.ports.pose_events import EventFeed, ModelPose, Notice, PoseTrack
+from ullage.ports.ned import FLIP, enu_position, enu_quat
+from ullage.ports.pose_events import BodyState, EventFeed, Notice, PoseTrack
 
 SYNC_S = 3.0
 """How long poses wait for TIMESYNC after the first one came [s]."""
 RESTART_NS = 1_000_000_000
 """A pose that lies behind the last one by more: the autopilot was started again [ns]."""
-FRAMES = {1: "MAV_FRAME_LOCAL_NED", 20: "MAV_FRAME_LOCAL_FRD"}
+LOCAL_NED = 1
+"""MAV_FRAME_LOCAL_NED."""
+FRAMES = {LOCAL_NED: "MAV_FRAME_LOCAL_NED", 20: "MAV_FRAME_LOCAL_FRD"}
 """Frames of ODOMETRY that are used: z points down, and the pose is that of a forward-right-down body."""
 ODOMETRY_S = 1.0
 """ODOMETRY that came so lately is preferred to LOCAL_POSITION_NED [s of the autopilot's clock]."""
@@ -49,14 +52,17 @@ class PoseBuilder:
     ) -> None:
         self._counters, self._wanted, self._origin = counters, wanted, world_from_local
         self._attitudes = PoseTrack(gap_ns=APART_NS)
-        self._positions: PoseQueue[tuple[int, Floats]] = PoseQueue(counters, "LOCAL_POSITION_NED", most=MOST_WAITING)
+        self._positions: PoseQueue[tuple[int, Floats, Floats]] = PoseQueue(
+            counters, "LOCAL_POSITION_NED", most=MOST_WAITING
+        )
         self._odometry_ns: int | None = None
         self._quaternions = False  # ATTITUDE_QUATERNION comes, so ATTITUDE is not needed
         self._resets: int | None = None
+        self._spin = np.zeros(3)  # forward, right, down, of the last attitude
         self.reset = False
         """Whether the autopilot's estimator was reset since the caller cleared this."""
 
-    def take(self, message: Any) -> list[ModelPose]:
+    def take(self, message: Any) -> list[BodyState]:
         """The poses that are known by this message, by the autopilot's clock."""
         kind = message.get_type()
         if kind == "ODOMETRY":
@@ -66,14 +72,14 @@ class PoseBuilder:
             self._position(t_ns, message)
         elif kind == "ATTITUDE_QUATERNION":
             self._quaternions = True
-            self._attitude(kind, t_ns, [message.q2, message.q3, message.q4, message.q1])
+            self._attitude(message, t_ns, [message.q2, message.q3, message.q4, message.q1])
         elif not self._quaternions:
             angles = [message.roll, message.pitch, message.yaw]
             turn = rpy_quat(*angles) if np.isfinite(angles).all() else np.full(4, np.nan)
-            self._attitude(kind, t_ns, turn)
+            self._attitude(message, t_ns, turn)
         return self._matched()
 
-    def _odometry(self, message: Any) -> list[ModelPose]:
+    def _odometry(self, message: Any) -> list[BodyState]:
         if self._wanted == "local":
             return []
         w, *xyz = message.q
@@ -90,7 +96,11 @@ class PoseBuilder:
             self.reset = True
         self._resets = message.reset_counter
         self._odometry_ns = message.time_usec * 1000
-        return [self._sighting(self._odometry_ns, *pose)]
+        velocity = np.array([message.vx, message.vy, message.vz])
+        if message.child_frame_id != LOCAL_NED:
+            velocity = quat_matrix(pose[1]) @ velocity
+        spin = np.array([message.rollspeed, message.pitchspeed, message.yawspeed])
+        return [self._sighting(self._odometry_ns, *pose, velocity, spin)]
 
     def _position(self, t_ns: int, message: Any) -> None:
         lately = self._odometry_ns is not None and abs(t_ns - self._odometry_ns) < ODOMETRY_S * 1e9
@@ -100,31 +110,33 @@ class PoseBuilder:
         if not np.isfinite(ned).all():
             self._counters.drop("LOCAL_POSITION_NED", "bad", "position is not finite")
             return
-        self._positions.put((t_ns, ned), time.monotonic())
+        velocity = np.array([message.vx, message.vy, message.vz])
+        self._positions.put((t_ns, ned, velocity), time.monotonic())
 
-    def _attitude(self, kind: str, t_ns: int, quat: Any) -> None:
+    def _attitude(self, message: Any, t_ns: int, quat: Any) -> None:
         pose = checked_pose(np.zeros(3), quat)
         if isinstance(pose, str):
-            self._counters.drop(kind, "bad", pose)
+            self._counters.drop(message.get_type(), "bad", pose)
             return
+        self._spin = np.array([message.rollspeed, message.pitchspeed, message.yawspeed])
         if self._attitudes.add(t_ns, *pose):
             self._positions.clear("the autopilot was started again")
 
-    def _matched(self) -> list[ModelPose]:
+    def _matched(self) -> list[BodyState]:
         """Positions whose time lies between two attitudes."""
 
-        def attitude_at(position: tuple[int, Floats]) -> Place[tuple[Floats, Floats]]:
+        def attitude_at(position: tuple[int, Floats, Floats]) -> Place[tuple[Floats, Floats]]:
             return self._attitudes.at(position[0])._replace(missing="no attitude near its time")
 
         ready = self._positions.ready(attitude_at, time.monotonic())
-        return [self._sighting(t_ns, ned, pose[1]) for (t_ns, ned), pose in ready]
+        return [self._sighting(t_ns, ned, pose[1], velocity, self._spin) for (t_ns, ned, velocity), pose in ready]
 
-    def _sighting(self, t_ns: int, ned: Floats, ned_from_frd: Floats) -> ModelPose:
+    def _sighting(self, t_ns: int, ned: Floats, ned_from_frd: Floats, velocity: Floats, spin: Floats) -> BodyState:
+        """Return a state of its parts north-east-down and forward-right-down; rates that are not finite count as 0."""
         at = apply(self._origin, enu_position(ned)[None])[0]
         turn = matrix_quat(self._origin[:3, :3] @ quat_matrix(enu_quat(ned_from_frd)))
-        x, y, z = at.tolist()
-        a, b, c, d = turn.tolist()
-        return ModelPose(t_ns, (x, y, z), (a, b, c, d))
+        speed, spin = (np.where(np.isfinite(rate), rate, 0.0) for rate in (velocity, spin))
+        return BodyState(t_ns, at, turn, self._origin[:3, :3] @ enu_position(speed), FLIP @ spin)
 
 
 def origin_of(text: str) -> Floats:
@@ -148,8 +160,10 @@ class PoseFeed(EventFeed):
     def __init__(self, link: Link, options: PoseOptions) -> None:
         super().__init__(link)
         self._link, self._options = link, options
+        self.jumped = ""
+        """Why poses since then may lie elsewhere than those before; empty: they do not."""
         self._builder = PoseBuilder(link.counters, options.poses, origin_of(options.origin))
-        self._unsynced: deque[ModelPose] = deque()
+        self._unsynced: deque[BodyState] = deque()
         self._synchronised: bool | None = None  # None: not decided
         self._begun_s = self._last_s
         self._first_s: float | None = None
@@ -169,7 +183,7 @@ class PoseFeed(EventFeed):
         self._link.listens = False
         leave(self._link, "source")
 
-    def _take(self, event: PoseMessage) -> ModelPose | Notice | None:
+    def _take(self, event: PoseMessage) -> BodyState | Notice | None:
         found = self._builder.take(event.message)
         if found:
             self._last_s = time.monotonic()
@@ -179,16 +193,18 @@ class PoseFeed(EventFeed):
             if pose.t_ns < self._boot_ns - RESTART_NS:
                 self._unsynced.clear()
                 self._link.forget_clock()
-                self._ready.append(Notice("the autopilot's clock went back: it was started again"))
+                self.jumped = "the autopilot's clock went back: it was started again"
+                self._ready.append(Notice(self.jumped))
             self._boot_ns = pose.t_ns
             self._unsynced.append(pose)
         self._ready += self._timed()
         if self._builder.reset:
             self._builder.reset = False
-            return Notice("the autopilot reset its estimate: its poses may have jumped")
+            self.jumped = "the autopilot reset its estimate: its poses may have jumped"
+            return Notice(self.jumped)
         return None
 
-    def _timed(self) -> list[ModelPose | Notice]:
+    def _timed(self) -> list[BodyState | Notice]:
         """The poses whose time is known."""
         if self._synchronised is None and self._unsynced:
             if self._link.clock.known:
@@ -203,9 +219,9 @@ class PoseFeed(EventFeed):
         poses, self._unsynced = list(self._unsynced), deque()
         return [self._local(pose) if self._synchronised else pose for pose in poses]
 
-    def _local(self, pose: ModelPose) -> ModelPose:
+    def _local(self, pose: BodyState) -> BodyState:
         t_ns = self._link.local_ns(pose.t_ns)
-        return pose if t_ns is None else ModelPose(t_ns, pose.position, pose.quat_xyzw)
+        return pose if t_ns is None else replace(pose, t_ns=t_ns)
 
     def _on_silence(self) -> Notice | None:
         """Nothing came for a while.

@@ -145,7 +145,7 @@ class DirectionFinder:
             if poses.uncertain:  # all echoes together have shown the errors, so the samples are explained anew
                 aperture.samples[:], floor[:] = samples, 1.0
                 found = yield from self._clean(seen, sums, floor)
-            left = sums.peak  # more than the search finds at most
+            left = sums.peak.astype(float)  # what a search that stops early leaves
         silent = np.full(bins, np.inf, np.float32)
         silent[low:high] = np.maximum(floor * spec.least_snr * noise, left)[low:high]
         return DirectedEchoes(
