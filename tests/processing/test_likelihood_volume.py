@@ -9,6 +9,7 @@ import pytest
 import ullage as ul
 from ullage.data import Trajectory
 from ullage.kernels.volume_cells import Box, SpatialViews, find_hidden
+from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.occupancy import Mapper
 from ullage.world import shapes
 from ullage.world.scene import Scene
@@ -92,6 +93,15 @@ def test_the_room_is_free_and_nothing_beyond_it(room):
     inside = (GRID.z_m[:, None, None] > 0.75) & (GRID.z_m[:, None, None] < 1.65)  # the heights of the flight
     inside = inside & (np.abs(GRID.y_m)[:, None] < 1.0) & (np.abs(GRID.x_m) < 1.2)
     assert room[1].free[inside].mean() > 0.9
+
+
+def test_echoes_that_the_search_leaves_out_are_no_silence(room):
+    """With one echo a keyframe, the other walls are heard all the same."""
+    mapper = Mapper(GRID, method="likelihood", spec=LikelihoodSpec(most_echoes=1))
+    mapper.update(room[0])
+    mapper.finish()
+    free = centres(mapper.map().free)
+    assert np.all((free > LOW + 0.1) & (free < HIGH - 0.1))
 
 
 def test_a_slanting_ceiling_keeps_its_normal():

@@ -79,7 +79,7 @@ def render(
     body = _body(grid, flown, spec.vehicle_m)
     percent[body] = 0
     if surfaces:
-        views, owner, cut = _views(grid, surfaces, wavelength_m, fold_m, spec)
+        views, owner, cut, wide = _views(grid, surfaces, wavelength_m, fold_m, spec)
         sloped = np.array([one.sloped for one in surfaces])
         false = _flown_through(views, owner, flown)
         possible = (cut[0] | ~sloped[owner]) & ~false[owner]
@@ -90,12 +90,15 @@ def render(
         crossed = np.zeros(grid.size)
         widening = BLOCKED * math.sqrt(wavelength_m / 2)  # the first Fresnel zone: sqrt(wavelength distance / 2)
         find_crossed(plane, views, evidence, level, spec.evidence, alive, widening, crossed)
+        near = np.zeros(grid.size)  # evidence within one zone, as echoes from behind cross their own
+        draw_surfaces(plane, views._replace(half_m=views.half_m / wide), alive, near, level.copy())
+        crossed *= evidence / np.maximum(near, 1e-9)
         solid = occupied_percent(evidence, crossed, spec.plane_odds, spec)
         likely = shown & (solid >= LIKELY)
         slopes = (sloped & ~false)[owner]
         clearance = _clearance(views, owner)
         doubt = np.sqrt([one.covariance[1, 1] for one in surfaces])[owner]
-        near = _extensions(plane, views, alive, spec.extension_m)
+        extended = _extensions(plane, views, alive, spec.extension_m)
         ends = evidence.copy()
         draw_surfaces(plane, views, doubtful, ends, level)
         # surfaces whose place is open end the paths of other echoes
@@ -103,7 +106,7 @@ def render(
         ends += _unplaced(plane, nearest, slopes & ~cut[1] & reached, (views, alive, widening), spec)
         width = np.where(alive, spec.tube * clearance, 0.0)  # echoes of slopes leave the plane
         tubes = Tubes(width, doubt, wavelength_m, spec.margin_m, SURE_M)
-        free = _passed(plane, views, tubes, ends, near) & (quiet[0] >= 0)
+        free = _passed(plane, views, tubes, ends, extended) & (quiet[0] >= 0)
         free |= _silent(plane, silence, ends, free | (percent == 0), spec)
         free &= ~shown & (percent != 0)
         percent[free] = free_percent(quiet[0, free], spec)
@@ -203,8 +206,8 @@ def _body(grid: Grid, flown: Floats, radius_m: float) -> Longs:
 
 def _views(
     grid: Grid, surfaces: list[Surface], wavelength_m: float, fold_m: float, spec: LikelihoodSpec
-) -> tuple[Views, Longs, Bools]:
-    """All sightings of all surfaces as rows, the surface of each, and where the plane cuts lying cylinders.
+) -> tuple[Views, Longs, Bools, Floats]:
+    """All sightings as rows, the surface of each, where the plane cuts lying cylinders, and widths in Fresnel zones.
 
     The flags (2, k) are: the cut is confirmed, and the surface may go on to there.
 
@@ -227,11 +230,12 @@ def _views(
     narrowed = np.maximum(np.abs(flatness) - DOUBT * sigma * range_m, 0)
     foot = place + range_m[:, None] * np.stack([np.cos(state[:, 1]), np.sin(state[:, 1])], axis=1)
     wide = np.concatenate([steadiness(foot[owner == one], level[owner == one]) for one in range(len(surfaces))])
-    half = np.minimum(spec.support * wide * np.sqrt(0.5 * wavelength_m * range_m * narrowed), MOST_HALF_M)
+    half = spec.support * np.sqrt(0.5 * wavelength_m * range_m * narrowed)
+    wide = np.minimum(wide, np.maximum(MOST_HALF_M / np.maximum(half, 1e-9), 1.0))
     steep = np.abs(flatness) > 0.2
     bend = np.where(steep, curvature / np.where(steep, flatness, 1.0), 0.0)
     bend = np.clip(bend, -1 / LEAST_RADIUS_M, 1 / LEAST_RADIUS_M)
-    return Views(place, np.ascontiguousarray(state), half, bend, level, weight), owner, cut
+    return Views(place, np.ascontiguousarray(state), wide * half, bend, level, weight), owner, cut, wide
 
 
 def steadiness(foot: Floats, level: Floats) -> Floats:
