@@ -16,15 +16,14 @@ import numpy as np
 
 from ullage.arrays import Floats
 from ullage.data import Trajectory
-from ullage.errors import InputError
+from ullage.geometry import apply, matrix_quat
+from ullage.world import shapes
 from ullage.world.materials import Material
-from ullage.world.meshes import Mesh
+from ullage.world.meshes import MOST_FACES, Mesh
 from ullage.world.notices import one_notice_per_kind
-from ullage.world.scene import Scene, SceneObject
-from ullage.world.sdf_actor import read_motion
-from ullage.world.sdf_build import SceneBuilder
+from ullage.world.scene import Scene, SceneObject, Wires
 from ullage.world.sdf_frames import ScopeFrames
-from ullage.world.sdf_geometry import GeometryReader, Rod
+from ullage.world.sdf_geometry import SAGITTA_M, GeometryReader, Rod
 from ullage.world.sdf_material import nearest_tag, read_material, read_smooth
 from ullage.world.sdf_parse import Node, read_pose
 from ullage.world.sdf_resolve import Missing, Resolver
@@ -33,6 +32,11 @@ from ullage.world.sdf_tree import Link, Scope, TreeReader
 from ullage.world.smoothing import Smooth
 
 Geometry = Literal["collision", "visual"]
+
+LOOPED_S = 600.0
+"""A looped script of an actor repeats until this time [s]."""
+
+_RETURN_S = 1e-3  # a loop whose ends differ jumps back, as it does in Gazebo
 
 
 def load_sdf(
@@ -74,7 +78,7 @@ def scene_of(world: Scope, resolver: Resolver, *, geometry: Geometry) -> Scene:
     models = {name: one.world_from_scope() for name, one in inner.items()}
     rigs = rigs_of(frames)
     rays = {} if rigs else ray_rigs_of(frames)
-    return replace(walk.builder.scene(world.name), rigs=rigs, ray_rigs=rays, models=models)
+    return replace(walk.scene(world.name), rigs=rigs, ray_rigs=rays, models=models)
 
 
 @dataclass(slots=True)
@@ -83,7 +87,11 @@ class SceneWalk:
 
     reader: GeometryReader
     geometry: Geometry
-    builder: SceneBuilder = field(default_factory=SceneBuilder)
+    objects: list[SceneObject] = field(default_factory=list)
+    meshes: list[tuple[Mesh, Floats]] = field(default_factory=list)  # with frame_from_shape; equal ones share arrays
+    owners: list[int] = field(default_factory=list)  # object of each mesh
+    rods: list[tuple[Floats, Floats, float, int]] = field(default_factory=list)
+    faces: int = 0
     unseen: list[str] = field(default_factory=list)
 
     def add_scope(self, frames: ScopeFrames, outer: str, tag: Node | None) -> None:
@@ -116,18 +124,32 @@ class SceneWalk:
             self.unseen.append(name)
         for (object_material, smooth), parts in groups.items():
             called = name if len(groups) == 1 else f"{name}::{parts[0][0].attribute('name')}"
-            owner = self.builder.add_object(SceneObject(called, object_material, motion, smooth))
+            self.objects.append(SceneObject(called, object_material, motion, smooth))
             for node, shape, pose in parts:
-                try:
-                    self.builder.add_shape(owner, shape, pose)
-                except InputError as error:
-                    node.place.refuse(error.what, allowed=error.allowed)
+                self._add_shape(shape, pose)
+                if self.faces > MOST_FACES:
+                    allowed = "simpler meshes, or fewer of them"
+                    node.place.refuse(f"more than {MOST_FACES} triangles in all", allowed=allowed)
+
+    def _add_shape(self, shape: Mesh | Rod, frame_from_shape: Floats) -> None:
+        """Give the newest object one more shape, placed in the world, or in the object's own frame if it moves."""
+        owner = len(self.objects) - 1
+        if isinstance(shape, Rod) and self.objects[owner].motion is None:
+            ends = apply(frame_from_shape, [[0, 0, -shape.length_m / 2], [0, 0, shape.length_m / 2]])
+            self.rods.append((ends[0], ends[1], shape.radius_m, owner))
+            return
+        if isinstance(shape, Rod):  # wires stand still, so a moving rod is meshed
+            segment = shapes.sagitta_segment_m(shape.radius_m, SAGITTA_M)
+            shape = shapes.cylinder(shape.radius_m, shape.length_m, segment_m=segment)
+        self.faces += len(shape[1])
+        self.meshes.append((shape, frame_from_shape))
+        self.owners.append(owner)
 
     def _add_actor(self, around_frames: ScopeFrames, actor: Scope, tag: Node | None) -> None:
         if actor.node.child("skin") is not None:
             what = f"the skin of actor {actor.name!r} is passed by; only shapes in its links are read"
             actor.node.place.warn(what, kind="skin")
-        motion = read_motion(actor.node)
+        motion = _read_motion(actor.node)
         frames = ScopeFrames(actor)
         here = np.eye(4)
         if motion is None:
@@ -136,3 +158,53 @@ class SceneWalk:
         for link in actor.links:
             name = actor.name if len(actor.links) == 1 else f"{actor.name}::{link.name}"
             self._add_link(frames, here, link, name, nearest_tag(actor.node) or tag, motion=motion)
+
+    def scene(self, name: str) -> Scene:
+        """Return all gathered parts."""
+        vertices, faces = self._placed()
+        owner = np.repeat(np.array(self.owners, np.int32), [len(mesh[1]) for mesh, _ in self.meshes])
+        wires = Wires()
+        if self.rods:
+            start, end, radius, whose = zip(*self.rods, strict=True)
+            wires = Wires(np.stack(start), np.stack(end), np.array(radius), np.array(whose, np.int32))
+        return Scene(vertices, faces, owner, tuple(self.objects), wires, name)
+
+    def _placed(self) -> Mesh:
+        """Join all meshes into one array without a second copy in memory."""
+        vertices = np.empty((sum(len(mesh[0]) for mesh, _ in self.meshes), 3))
+        faces = np.empty((self.faces, 3), np.int32)
+        v = f = 0
+        for (points, corners), pose in self.meshes:
+            vertices[v : v + len(points)] = apply(pose, points)
+            faces[f : f + len(corners)] = corners + v
+            v, f = v + len(points), f + len(corners)
+        return vertices, faces
+
+
+def _read_motion(actor: Node) -> Trajectory | None:
+    """Read the actor's motion from time zero, with delay and loop of its script; None without waypoints."""
+    script = actor.child("script")
+    points = [] if script is None else [p for t in script.children("trajectory") for p in t.children("waypoint")]
+    if script is None or not points:
+        return None
+    times = np.array([point.number("time") for point in points])
+    back = np.flatnonzero(np.diff(times, prepend=-1e-12) <= 0)
+    if back.size:
+        points[int(back[0])].place.refuse("the time of the waypoint does not rise", allowed="rising from 0")
+    poses = np.stack([read_pose(point).matrix for point in points])
+    delay = script.number("delay_start", 0.0)
+    if delay < 0:
+        script.place.refuse(f"delay_start is {delay:g}", allowed="0 s or more")
+    if script.flag("loop", default=True) and len(points) > 1:
+        times, poses = _looped(times, poses, delay)
+    times = times + delay
+    if times[0] > 0:
+        times, poses = np.concatenate([[0.0], times]), np.concatenate([poses[:1], poses])
+    return Trajectory(np.rint(times * 1e9).astype(np.int64), poses[:, :3, 3], matrix_quat(poses[:, :3, :3]))
+
+
+def _looped(times: np.ndarray, poses: np.ndarray, delay: float) -> tuple[np.ndarray, np.ndarray]:
+    period = times[-1] + _RETURN_S + delay
+    rounds = min(int(np.ceil(LOOPED_S / period)), 20_000 // len(times) + 1)
+    shift = np.arange(max(rounds, 1)) * period
+    return (shift[:, None] + times).reshape(-1), np.tile(poses, (len(shift), 1, 1))
