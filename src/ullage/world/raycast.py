@@ -20,6 +20,7 @@ from ullage.arrays import Bools, Floats, Ints, Longs, Singles
 from ullage.errors import InputError
 from ullage.kernels.rays import EmbreeHits, MeshFaces, NearestHits, Rays, RoundWires, aim, refine_faces, refine_wires
 from ullage.world.scene import Motion, Scene
+from ullage.world.smoothing import face_normals, half_edges
 
 _SIDES = 8
 """Sides of the prism that stands for a round wire in Embree."""
@@ -47,7 +48,7 @@ class Raycaster:
 
     def __init__(self, scene: Scene, *, wires: bool = False) -> None:
         self.corners: Floats = scene.corners()
-        self.normals: Floats = _normals(self.corners)
+        self.normals: Floats = face_normals(self.corners)[0]
         ids = np.concatenate([scene.face_object, scene.wires.object_id if wires else np.zeros(0, np.int32)])
         self.owner: Ints = ids.astype(np.int32)
         """Object index of each face, then of each wire."""
@@ -221,22 +222,12 @@ def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Floats, Floats]:
     return start, rays
 
 
-def _normals(corners: Floats) -> Floats:
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    norm = np.linalg.norm(cross, axis=1, keepdims=True)
-    return np.asarray(cross / np.where(norm > 0, norm, 1.0))
-
-
 def _neighbours(corners: Floats) -> Longs:
     """Find the face across each edge (f, 3) of triangles (f, 3, 3); -1 where there is none, or more than one."""
     _, vertex = np.unique(np.ascontiguousarray(corners.reshape(-1, 3) + 0.0).view("V24"), return_inverse=True)
-    begin = vertex.reshape(-1, 3).astype(np.int64)
-    end = np.roll(begin, -1, 1)
-    edge = (np.minimum(begin, end) * (len(corners) * 3 + 1) + np.maximum(begin, end)).ravel()
-    order = np.argsort(edge, kind="stable")
-    same = np.concatenate([[False], edge[order][1:] == edge[order][:-1], [False]])
-    pair = np.flatnonzero(same[1:-1] & ~same[:-2] & ~same[2:])
-    out = np.full(len(edge), -1)
+    order, first, many = half_edges(vertex.reshape(-1, 3).astype(np.int64))
+    pair = first[many == 2]
+    out = np.full(len(order), -1)
     out[order[pair]], out[order[pair + 1]] = order[pair + 1] // 3, order[pair] // 3
     return out.reshape(-1, 3)
 
@@ -272,7 +263,7 @@ def _body(scene: Scene, thing: int, faces: NDArray[Any], wires: NDArray[Any]) ->
     tree.run(nothing, nothing + np.float32(1), query="OCCLUDED")  # builds the tree now, before threads use it
     motion = None if thing < 0 else scene.objects[thing].motion
     return _Body(
-        motion, thing, None, tree, centre, np.ascontiguousarray(corners[:, 0]), _normals(corners),
+        motion, thing, None, tree, centre, np.ascontiguousarray(corners[:, 0]), face_normals(corners)[0],
         faces.astype(np.int32), start, axis, length, lines.radius_m[wires], (len(scene.faces) + wires).astype(np.int32),
     )  # fmt: skip
 

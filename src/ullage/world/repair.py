@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ullage.arrays import Bools, Floats, Ints, Longs
+from ullage.world.smoothing import crosses, half_edges, linked
 
 WELD = 1e-6
 """Corners nearer than this share of the mesh's size are one."""
@@ -82,7 +80,7 @@ def repaired(vertices: Floats, faces: Ints, corner_normals: Floats | None = None
     cut, owner, normals = cut[once], owner[once], None if normals is None else normals[once]
     cut, normals, closed = _oriented(places, cut, normals)
     sides = np.zeros(len(flats.normals))
-    sides[owner[closed]] = np.einsum("fi,fi->f", _crosses(places[cut[closed]]), flats.normals[owner[closed]])
+    sides[owner[closed]] = np.einsum("fi,fi->f", crosses(places[cut[closed]]), flats.normals[owner[closed]])
     turned = int((sides[flats.of] * flats.sides < 0)[~twice].sum())
     used, cut = np.unique(cut, return_inverse=True)
     cut, normals = _rolled(cut.reshape(-1, 3), normals)
@@ -93,18 +91,7 @@ def repaired(vertices: Floats, faces: Ints, corner_normals: Floats | None = None
 def without_area(corners: Floats) -> Bools:
     """Which triangles (f, 3, 3) are degenerate."""
     longest = ((np.roll(corners, -1, 1) - corners) ** 2).sum(2).max(1, initial=0.0)
-    return np.asarray(np.linalg.norm(_crosses(corners), axis=1) <= SLIVER * longest)
-
-
-def _crosses(corners: Floats) -> Floats:
-    """Normals (f, 3) of triangles (f, 3, 3), as long as twice their area [m2]."""
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-
-def _linked(a: NDArray[np.integer], b: NDArray[np.integer], count: int) -> Longs:
-    """Number (count) the groups that links from a (n) to b (n) make."""
-    links = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(count, count))
-    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+    return np.asarray(np.linalg.norm(crosses(corners), axis=1) <= SLIVER * longest)
 
 
 def _welded(vertices: Floats, faces: Longs) -> tuple[Floats, Longs]:
@@ -118,9 +105,7 @@ def _welded(vertices: Floats, faces: Longs) -> tuple[Floats, Longs]:
     number[order] = np.cumsum(new) - 1
     near = cKDTree(places).query_pairs(WELD * float(np.linalg.norm(np.ptp(places, axis=0))), output_type="ndarray")
     if len(near):
-        _, first, group = np.unique(
-            _linked(near[:, 0], near[:, 1], len(places)), return_index=True, return_inverse=True
-        )
+        _, first, group = np.unique(linked(near[:, 0], near[:, 1], len(places)), return_index=True, return_inverse=True)
         places, number = places[np.sort(first)], np.searchsorted(np.sort(first), first[group])[number]
     return places, number[tri].reshape(-1, 3)
 
@@ -155,15 +140,6 @@ def _single(tri: Longs) -> tuple[Longs, Bools]:
     return once, twice[once]
 
 
-def _edges(tri: Longs) -> tuple[Longs, Longs, Longs]:
-    """Half edges (3 f) in the order of the edges they lie on; where each edge begins in that; how many it has."""
-    start, end = tri.ravel(), np.roll(tri, -1, 1).ravel()
-    key = np.minimum(start, end) * (int(tri.max(initial=0)) + 1) + np.maximum(start, end)
-    order = np.argsort(key, kind="stable")
-    first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    return order, first, np.diff(np.r_[first, len(order)])
-
-
 def _split(points: Floats, tri: Longs) -> tuple[Longs, Longs, Longs, int]:
     """Split faces (f, 3) into bodies along edges of more than two faces.
 
@@ -172,15 +148,15 @@ def _split(points: Floats, tri: Longs) -> tuple[Longs, Longs, Longs, int]:
     Returns:
         Pairs of half edges of neighbours (n), (n); body (f) of each face; number of such edges.
     """
-    order, first, many = _edges(tri)
+    order, first, many = half_edges(tri)
     a, b = order[first[many == 2]], order[first[many == 2] + 1]
-    body = _linked(a // 3, b // 3, len(tri))
+    body = linked(a // 3, b // 3, len(tri))
     left, edge = order[np.repeat(many > 2, many)], np.repeat(first[many > 2], many[many > 2])
     c, d = _pairs_of_keys(edge * len(tri) + body[left // 3], left)
     rest = ~np.isin(left, np.concatenate([c, d]))
     e, f = _continued(points, tri, left[rest], edge[rest])
     a, b = np.concatenate([a, c, e]), np.concatenate([b, d, f])
-    return a, b, _linked(a // 3, b // 3, len(tri)), int((many > 2).sum())
+    return a, b, linked(a // 3, b // 3, len(tri)), int((many > 2).sum())
 
 
 def _pairs_of_keys(keys: Longs, values: Longs) -> tuple[Longs, Longs]:
@@ -200,7 +176,7 @@ def _continued(points: Floats, tri: Longs, halves: Longs, edge: Longs) -> tuple[
         some = first[many > place]
         found += [np.stack([halves[some + before], halves[some + place]]) for before in range(place)]
     a, b = np.concatenate(found, 1)
-    flat = _bends(points[tri], _crosses(points[tri]), a, b)[0] < BENDS_RAD[0]
+    flat = _bends(points[tri], crosses(points[tri]), a, b)[0] < BENDS_RAD[0]
     a, b = a[flat], b[flat]
     count = np.bincount(np.concatenate([a, b]), minlength=3 * len(tri))
     alone = (count[a] == 1) & (count[b] == 1)
@@ -222,13 +198,13 @@ def _flat_faces(corners: Floats, a: Longs, b: Longs, rounded: float) -> _FlatFac
 
     Half edges `a` (n) and `b` (n) are of neighbours.
     """
-    cross = _crosses(corners)
+    cross = crosses(corners)
     bend, gap = _bends(corners, cross, a, b)
     a, b = a // 3, b // 3
     joined, bent = (bend < BENDS_RAD[0]) | (gap < rounded), np.ones(len(corners), bool)
     for most in BENDS_RAD:
         joined = np.where(bent[a], joined & ((bend < most) | (most == BENDS_RAD[0])), joined)
-        found = _planes(corners, cross, _linked(a[joined], b[joined], len(corners)))
+        found = _planes(corners, cross, linked(a[joined], b[joined], len(corners)))
         off = corners - _centres(corners, cross, found.of)[found.of][:, None]
         reach = np.zeros(len(found.areas))
         np.maximum.at(reach, found.of, abs(np.einsum("fki,fi->fk", off, found.normals[found.of])).max(1, initial=0.0))
@@ -283,9 +259,9 @@ def _retriangulated(points: Floats, tri: Longs, flats: _FlatFaces, rounded: floa
     done = np.concatenate([owner for _, owner in found])
     found.append(_of_many(points, rows[~np.isin(rows[:, 0], done)], flats.normals))
     cut, owner = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    down = np.einsum("fi,fi->f", _crosses(points[cut]), flats.normals[owner]) < 0
+    down = np.einsum("fi,fi->f", crosses(points[cut]), flats.normals[owner]) < 0
     cut[down] = cut[down][:, ::-1]
-    whole = np.bincount(owner, np.linalg.norm(_crosses(points[cut]), axis=1), len(size))
+    whole = np.bincount(owner, np.linalg.norm(crosses(points[cut]), axis=1), len(size))
     filled = (whole > 0) & (abs(whole - flats.areas) < FILLED * flats.areas + rounded * around)
     old, kept = ~filled[flats.of], filled[owner]
     return np.concatenate([wound[old], cut[kept]]), np.concatenate([flats.of[old], owner[kept]])
@@ -326,7 +302,7 @@ def _straight(points: Floats, edge: Longs, rounded: float) -> tuple[Longs, Longs
     gone = (degree == 2) & ((bend < BENDS_RAD[0]) | (shorter < rounded / np.maximum(bend, 1e-300)) & (bend < 1))
     both, one = gone[edge].all(1), gone[edge].any(1)
     group = np.full(count, -1)
-    names = _linked(edge[both, 0], edge[both, 1], count)
+    names = linked(edge[both, 0], edge[both, 1], count)
     group[gone] = np.unique(names[gone], return_inverse=True)[1]
     leaves = edge[one & ~both]
     inner = gone[leaves].argmax(1)
@@ -357,7 +333,7 @@ def _of_four(points: Floats, rows: Longs, first: Longs, normals: Floats) -> tupl
     c = (rows[first[:, None] + np.arange(4), 1:].sum((1, 2)) - 2 * (a + b + d)) // 2
     quad, up = np.stack([a, b, c, d], 1), normals[rows[first, 0]]
     one, other = quad[:, [[0, 1, 2], [0, 2, 3]]], quad[:, [[1, 2, 3], [1, 3, 0]]]
-    least = [np.einsum("nti,ni->nt", np.stack([_crosses(points[half[:, k]]) for k in range(2)], 1), up) for half in
+    least = [np.einsum("nti,ni->nt", np.stack([crosses(points[half[:, k]]) for k in range(2)], 1), up) for half in
              (one, other)]  # fmt: skip
     good = [(sides.prod(1) > 0) & (abs(sides).min(1) > FILLED * abs(sides).max(1)) for sides in least]
     diagonals = [np.linalg.norm(points[p] - points[q], axis=1) for p, q in ((a, c), (b, d))]
@@ -411,7 +387,7 @@ def _oriented(points: Floats, tri: Longs, normals: Floats | None) -> tuple[Longs
     if normals is None:
         return tri, None, closed
     normals = np.where(back[:, None, None], normals[:, ::-1], normals)
-    inward = np.einsum("fki,fi->fk", normals, _crosses(points[tri])) < 0
+    inward = np.einsum("fki,fi->fk", normals, crosses(points[tri])) < 0
     return tri, np.where(inward[..., None], -normals, normals), closed
 
 
@@ -422,7 +398,7 @@ def _misoriented(points: Floats, tri: Longs) -> tuple[Bools, Bools]:
     it is closed; else the greater area decides, and over equals the axes.
     """
     count = len(tri)
-    order, first, many = _edges(tri)
+    order, first, many = half_edges(tri)
     a, b = order[first[many == 2]], order[first[many == 2] + 1]
     alike = tri.ravel()[a] != tri.ravel()[b]
     a, b = a // 3, b // 3
@@ -430,10 +406,10 @@ def _misoriented(points: Floats, tri: Longs) -> tuple[Bools, Bools]:
         np.concatenate([a, a + count]),
         np.concatenate([b + np.where(alike, 0, count), b + np.where(alike, count, 0)]),
     )
-    one, other = _linked(here, there, 2 * count).reshape(2, count)
+    one, other = linked(here, there, 2 * count).reshape(2, count)
     body, sign = np.minimum(one, other), np.where(one <= other, 1.0, -1.0)
     body = np.unique(body, return_inverse=True)[1].reshape(-1)
-    cross = _crosses(points[tri])
+    cross = crosses(points[tri])
     area = np.linalg.norm(cross, axis=1)
     total, most = np.bincount(body, area), np.bincount(body, sign * area)
     volume = np.bincount(body, sign * np.einsum("fi,fi->f", cross, points[tri[:, 0]] - points.mean(0)))

@@ -68,8 +68,7 @@ class Hinges:
 
     def regions(self, count: int) -> Longs:
         """Number (f) the surfaces that they join so many triangles to."""
-        links = coo_array((np.ones(len(self), np.int8), (self.faces[:, 0], self.faces[:, 1])), shape=(count, count))
-        return np.asarray(connected_components(links, directed=False)[1], np.int64)
+        return linked(self.faces[:, 0], self.faces[:, 1], count)
 
 
 class Creases(NamedTuple):
@@ -99,9 +98,33 @@ def welded(corners: Floats) -> Longs:
     return np.asarray(ids.reshape(-1, 3), np.int64)
 
 
+def linked(a: NDArray[np.integer], b: NDArray[np.integer], count: int) -> Longs:
+    """Number (count) the groups that links from a (n) to b (n) make."""
+    links = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(count, count))
+    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+
+
+def half_edges(ids: Longs) -> tuple[Longs, Longs, Longs]:
+    """Sort the half edges (3 f) of triangles with corners (f, 3) by the edges they lie on.
+
+    Returns:
+        The half edges in the order of the edges; where each edge begins in that; how many half edges it has.
+    """
+    start, end = ids.ravel(), np.roll(ids, -1, 1).ravel()
+    key = np.minimum(start, end) * (int(ids.max(initial=0)) + 1) + np.maximum(start, end)
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    return order, first, np.diff(np.r_[first, len(order)])
+
+
+def crosses(corners: Floats) -> Floats:
+    """Normals (f, 3) of triangles (f, 3, 3), as long as twice their area [m2]."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
 def face_normals(corners: Floats) -> tuple[Floats, Floats]:
     """Unit normals (f, 3) and areas (f) [m2] of triangles (f, 3, 3); 0 where there is no area."""
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = crosses(corners)
     size = np.linalg.norm(cross, axis=1)
     return cross / np.maximum(size, 1e-300)[:, None], size / 2
 
@@ -139,10 +162,7 @@ def hinges(corners: Floats, ids: Longs, objects: NDArray[np.integer], limits: Cr
     """
     _, area = face_normals(corners)
     start, end = ids.ravel(), np.roll(ids, -1, 1).ravel()
-    key = np.minimum(start, end) * (int(ids.max(initial=0)) + 1) + np.maximum(start, end)
-    order = np.argsort(key, kind="stable")
-    many = np.diff(np.flatnonzero(np.diff(key[order], prepend=-1, append=-2)))
-    first = np.cumsum(many) - many
+    order, first, many = half_edges(ids)
     one, other = order[first[many == 2]], order[first[many == 2] + 1]
     kept = (start[one] == end[other]) & (objects[one // 3] == objects[other // 3])
     kept &= goes_on(corners, one, other, objects, limits)
@@ -203,14 +223,12 @@ def _fans(corners: Floats, normals: Floats, area: Floats, even: Hinges) -> tuple
     """Group (3 f) of each corner with those around the same point of the same surface; mean normals (g, 3)."""
     pairs = [3 * even.faces + even.starts, 3 * even.faces + even.ends]
     rows, columns = np.concatenate(pairs).T if len(even) else np.zeros((2, 0), np.int64)
-    count = 3 * len(corners)
-    links = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(count, count))
-    total, groups = connected_components(links, directed=False)
+    groups = linked(rows, columns, 3 * len(corners))
     square = ((np.roll(corners, -1, 1) - corners) ** 2).sum(2)
     weight = area[:, None] / np.maximum(square * np.roll(square, 1, 1), 1e-300)
     rows = (weight[..., None] * normals[:, None]).reshape(-1, 3)
-    mean = np.stack([np.bincount(groups, row, total) for row in rows.T], 1)
-    return groups.astype(np.int64), mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
+    mean = np.stack([np.bincount(groups, row) for row in rows.T], 1)
+    return groups, mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
 
 
 def _spread(known: Floats, groups: Longs) -> Floats:
