@@ -12,7 +12,7 @@ import numpy as np
 from ullage.arrays import Floats
 from ullage.world.hold import quad
 from ullage.world.shapes import Shape
-from ullage.world.solids import Part, Skin, clean, flat, join, loft
+from ullage.world.solids import Part, Skin, clean, flat, join, loft, turned_over
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +189,6 @@ def tunnel_parts(made: Tunnel, openings: Sequence[Any] = ()) -> list[Part]:
     for name, k in (("start", 0), ("end", -1)):
         middle, left = made.line[k], made.across(np.array([[1.0, 0.0]]))[k, 0, :2] - made.line[k]
         place = lambda yz, at=middle, to=left: np.column_stack([at + yz[:, :1] * to, yz[:, 1]])  # noqa: E731
-        vertices, faces = clean(flat(whole, place), decimals=6)  # coarser ones bend slivers of an oblique plane
-        out.append(Part(f"{name}_wall", made.made_of, (vertices, faces if k else np.ascontiguousarray(faces[:, ::-1]))))
+        sheet = clean(flat(whole, place), decimals=6)  # coarser ones bend slivers of an oblique plane
+        out.append(Part(f"{name}_wall", made.made_of, sheet if k else turned_over(sheet)))
     return out

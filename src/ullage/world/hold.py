@@ -20,7 +20,7 @@ from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.world.lengths import length
 from ullage.world.shapes import Shape
-from ullage.world.solids import Part, Rod, Solid, block, clean, flat, join, moved
+from ullage.world.solids import Part, Rod, Solid, block, clean, flat, join, mirrored, moved, turned_over
 
 RUNG_PITCH_M = 0.3
 TREAD_PITCH_M = 0.24
@@ -177,7 +177,10 @@ def frames(plan: HoldPlan) -> list[Part]:
 
     w, web, bracket = plan.half_m, plan.frame_web_m, plan.bracket_m
     out = plan.hopper_m, plan.topside_m
-    fall, rise = math.tan(math.radians(plan.hopper_deg)), _topside_slope(plan)
+    fall, rise = (
+        math.tan(math.radians(plan.hopper_deg)),
+        (plan.height_m - plan.girder_m - out[1]) / (w - plan.hatch_half_m),
+    )
     inner = [
         (w - bracket, out[0] - bracket * fall),
         (w - web, out[0] + bracket),
@@ -188,21 +191,11 @@ def frames(plan: HoldPlan) -> list[Part]:
     half = plan.frame_flange_m / 2
     for_one = []
     for x in plan.frames_m:
-        for_one.append(flat(outline, partial(_across, x)))
+        for_one.append(flat(outline, partial(_leaning, axis=0, at=(0, 1), depth=(x, x))))
         for (y0, z0), (y1, z1) in pairwise(inner):
             for_one.append(quad([(x + half, y0, z0), (x - half, y0, z0), (x - half, y1, z1), (x + half, y1, z1)]))
     port = join(*for_one)
-    starboard = port[0] * [1, -1, 1], np.ascontiguousarray(port[1][:, ::-1])
-    return [Part("frames_port", "steel", clean(port)), Part("frames_starboard", "steel", clean(starboard))]
-
-
-def _topside_slope(plan: HoldPlan) -> float:
-    run = plan.half_m - plan.hatch_half_m
-    return (plan.height_m - plan.girder_m - plan.topside_m) / run
-
-
-def _across(x: float, points: Floats) -> Floats:
-    return np.stack([np.full(len(points), x), points[:, 0], points[:, 1]], axis=1)
+    return [Part("frames_port", "steel", clean(port)), Part("frames_starboard", "steel", clean(mirrored(port)))]
 
 
 def bulkhead(plan: HoldPlan, *, ahead: bool) -> list[Part]:
@@ -264,7 +257,7 @@ def _ended(plan: HoldPlan, mesh: Shape, ahead: bool) -> Shape:
     """Move a bulkhead, drawn about x = 0 with the hold at negative x, to the forward or the after end."""
     vertices, faces = mesh
     if ahead:
-        return vertices + np.array([plan.length_m / 2, 0, 0]), np.ascontiguousarray(faces[:, ::-1])
+        return turned_over((vertices + np.array([plan.length_m / 2, 0, 0]), faces))
     return vertices * [-1, 1, 1] - [plan.length_m / 2, 0, 0], faces
 
 

@@ -27,7 +27,7 @@ from ullage.world.enclosures import Tunnel, WebTank, bent_line, tunnel_parts, we
 from ullage.world.materials import material
 from ullage.world.scene import Scene
 from ullage.world.shapes import Shape
-from ullage.world.solids import Part, Rod, Solid, block, clean, flat, join, moved, scene_of
+from ullage.world.solids import Part, Rod, Solid, block, clean, flat, join, moved, scene_of, turned_over
 
 TUNING = ("room", "corridor", "tank", "machines", "shelves")
 """Kinds on which thresholds may be chosen."""
@@ -124,15 +124,7 @@ def _planned(kind: str, seed: int, mtime_ns: int) -> Plan:
 
 
 def _shell(made: Plan, footprint: Any, height_m: float, *, skip: Sequence[int] = (), ceiling: bool = True) -> None:
-    """Add floor, walls along the outline of the footprint, and a ceiling.
-
-    Args:
-        made: what to add to.
-        footprint: shapely polygon, its outline turning left [m].
-        height_m: of the walls [m].
-        skip: numbers of the walls that are left open.
-        ceiling: whether there is one.
-    """
+    """Add floor, walls along the outline of the footprint (which turns left) but those of `skip`, and a ceiling."""
     made.footprint = footprint
     wall = made.pick(WALLS)
     corners = np.asarray(footprint.exterior.coords)
@@ -142,18 +134,14 @@ def _shell(made: Plan, footprint: Any, height_m: float, *, skip: Sequence[int] =
         made_of = wall if made.rng.random() < 0.8 else made.pick(WALLS)
         upright = np.array([[*a, 0], [*b, 0], [*b, height_m], [*a, height_m]])
         made.parts.append(Part(f"wall_{k + 1}", made_of, (upright, np.array([[0, 2, 1], [0, 3, 2]], np.int32))))
-    made.parts.append(Part("floor", "concrete", clean(flat(footprint, _level(0.0)))))
+    made.parts.append(Part("floor", "concrete", _level(footprint, 0.0)))
     if ceiling:
-        made.parts.append(Part("ceiling", made.pick(("concrete", "steel", "wood")), _down(footprint, height_m)))
+        made_of = made.pick(("concrete", "steel", "wood"))
+        made.parts.append(Part("ceiling", made_of, turned_over(_level(footprint, height_m))))
 
 
-def _level(z_m: float) -> Callable[[Floats], Floats]:
-    return lambda xy: np.column_stack([xy, np.full(len(xy), z_m)])
-
-
-def _down(footprint: Any, z_m: float) -> Shape:
-    vertices, faces = clean(flat(footprint, _level(z_m)))
-    return vertices, np.ascontiguousarray(faces[:, ::-1])
+def _level(footprint: Any, z_m: float) -> Shape:
+    return clean(flat(footprint, lambda xy: np.column_stack([xy, np.full(len(xy), z_m)])))
 
 
 def _heights(made: Plan, height_m: float) -> None:
@@ -256,8 +244,8 @@ def _hopper(made: Plan) -> None:
         for name, low, upper in (("slope", rings[0], rings[1]), ("wall", rings[1], rings[2])):
             sheet = np.array([low[k], low[j], upper[j], upper[k]])
             made.parts.append(Part(f"{name}_{k + 1}", made_of, (sheet, np.array([[0, 2, 1], [0, 3, 2]], np.int32))))
-    made.parts.append(Part("floor", made_of, clean(flat(_rectangle(*floor), _level(0.0)))))
-    made.parts.append(Part("deck", made_of, _down(_rectangle(*top), high)))
+    made.parts.append(Part("floor", made_of, _level(_rectangle(*floor), 0.0)))
+    made.parts.append(Part("deck", made_of, turned_over(_level(_rectangle(*top), high))))
     least = float(rng.uniform(0.6, 1.0)) * float(rise)
     made.band_m = (least, max(least, min(least + 0.4 * float(high), float(high) - 0.8)))
     made.footprint = _rectangle(*(floor + 2 * reach * (max(least - MARGIN_M, 0.0) / rise)))
@@ -273,7 +261,7 @@ def _tank(made: Plan) -> None:
     rng = made.rng
     radius, height, made_of = rng.uniform(2.4, 6.0), rng.uniform(3.0, 7.0), made.pick(TANK_WALLS)
     body = moved(shapes.cylinder(radius, height, segment_m=SEGMENT_M), (0, 0, height / 2))
-    made.parts.append(Part("tank", made_of, _seen_from_within(body)))
+    made.parts.append(Part("tank", made_of, turned_over(body)))
     made.footprint = _disc((0.0, 0.0), radius)
     _heights(made, height)
     if radius > 4 and rng.random() < 0.4:
@@ -291,7 +279,7 @@ def _lying_tank(made: Plan) -> None:
     else:
         body = shapes.capsule(radius, length, segment_m=2 * SEGMENT_M)
     body = moved(moved(body, pitch_deg=90.0), (0, 0, radius))
-    made.parts.append(Part("tank", made_of, _seen_from_within(body)))
+    made.parts.append(Part("tank", made_of, turned_over(body)))
     off = rng.uniform(0.1, 0.4) * radius
     made.band_m = (radius - off, radius + off)
     half = np.sqrt(radius**2 - min(off + MARGIN_M, 0.9 * radius) ** 2)
@@ -330,11 +318,6 @@ def _tunnel(made: Plan) -> None:
     off = rng.uniform(0.05, 0.2) * radius
     made.band_m = (radius - off, radius + off)
     made.footprint = LineString(line).buffer(np.sqrt(radius**2 - (off + MARGIN_M) ** 2), cap_style="flat")
-
-
-def _seen_from_within(mesh: Shape) -> Shape:
-    """A closed body whose faces look inward."""
-    return mesh[0], np.ascontiguousarray(mesh[1][:, ::-1])
 
 
 def _machines(made: Plan) -> None:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import ceil, pi, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ullage.arrays import Floats, Ints
+from ullage.arrays import Floats, Ints, Longs
 from ullage.errors import InputError
 
 Shape = tuple[Floats, Ints]
@@ -249,17 +250,28 @@ def _ball(parts: int, radius_m: float) -> Shape:
     return points[first] * radius_m, where.reshape(-1)[faces].astype(np.int32)
 
 
-def _prism(polygon: object, height_m: float) -> Shape:
+def earcut(polygon: Any) -> tuple[list[Floats], Longs, Floats]:
+    """Cut a shapely polygon into triangles.
+
+    Returns:
+        Its rings (k, 2), the outline first; the triangles (t, 3) by their points, all turning left; twice their areas.
+    """
     import mapbox_earcut
 
-    rings = [np.asarray(r.coords)[:-1] for r in (polygon.exterior, *polygon.interiors)]  # type: ignore[attr-defined]
-    ends = np.cumsum([len(r) for r in rings])
+    rings = [np.asarray(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
+    points, ends = np.concatenate(rings), np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
+    tri = mapbox_earcut.triangulate_float64(points, ends).reshape(-1, 3).astype(np.int64)
+    a, b, c = (points[tri[:, k]] for k in range(3))
+    area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    tri[area < 0] = tri[area < 0][:, ::-1]
+    return rings, tri, abs(area)
+
+
+def _prism(polygon: Any, height_m: float) -> Shape:
+    rings, lid, _ = earcut(polygon)
     flat = np.concatenate(rings)
-    lid = mapbox_earcut.triangulate_float64(flat, ends.astype(np.uint32)).reshape(-1, 3).astype(np.int64)
-    a, b, c = (flat[lid[:, k]] for k in range(3))
-    down = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0
-    lid[down] = lid[down][:, ::-1]
     n = len(flat)
+    ends = np.cumsum([len(r) for r in rings])
     next_index = np.concatenate([np.roll(np.arange(e - len(r), e), -1) for r, e in zip(rings, ends, strict=True)])
     here = np.arange(n)
     sides = _triangles(np.stack([here, next_index, next_index + n, here + n], axis=1))

@@ -125,11 +125,16 @@ def moved(
     return apply(pose, mesh[0]), mesh[1]
 
 
+def turned_over(mesh: Shape) -> Shape:
+    """The mesh with its faces toward the other side."""
+    return mesh[0], np.ascontiguousarray(mesh[1][:, ::-1])
+
+
 def mirrored(mesh: Shape, axis: int = 1) -> Shape:
     """The mesh mirrored across the plane through the origin, still wound outward."""
     sign = np.ones(3)
     sign[axis] = -1
-    return mesh[0] * sign, np.ascontiguousarray(mesh[1][:, ::-1])
+    return turned_over((mesh[0] * sign, mesh[1]))
 
 
 def block(low: Sequence[float], high: Sequence[float]) -> Shape:
@@ -186,21 +191,14 @@ def flat(polygon: Any, place: Callable[[Floats], Floats]) -> Shape:
 
     It faces the side from which the polygon's first axis turns to its second by the left.
     """
-    import mapbox_earcut
     from shapely import get_parts, remove_repeated_points
 
     out = []
     for part in get_parts(remove_repeated_points(polygon, 1e-9)):
         if part.geom_type != "Polygon" or part.area < 1e-9:
             continue
-        rings = [np.asarray(ring.coords)[:-1] for ring in (part.exterior, *part.interiors)]
-        points = np.concatenate(rings)
-        ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
-        tri = mapbox_earcut.triangulate_float64(points, ends).reshape(-1, 3).astype(np.int32)
-        a, b, c = (points[tri[:, k]] for k in range(3))
-        area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-        tri[area < 0] = tri[area < 0][:, ::-1]
-        out.append((place(points), tri[abs(area) > 1e-10]))
+        rings, tri, area = shapes.earcut(part)
+        out.append((place(np.concatenate(rings)), tri[area > 1e-10].astype(np.int32)))
     return join(*out)
 
 
