@@ -177,10 +177,8 @@ def frames(plan: HoldPlan) -> list[Part]:
 
     w, web, bracket = plan.half_m, plan.frame_web_m, plan.bracket_m
     out = plan.hopper_m, plan.topside_m
-    fall, rise = (
-        math.tan(math.radians(plan.hopper_deg)),
-        (plan.height_m - plan.girder_m - out[1]) / (w - plan.hatch_half_m),
-    )
+    fall = math.tan(math.radians(plan.hopper_deg))
+    rise = (plan.height_m - plan.girder_m - plan.topside_m) / (w - plan.hatch_half_m)
     inner = [
         (w - bracket, out[0] - bracket * fall),
         (w - web, out[0] + bracket),

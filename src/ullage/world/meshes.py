@@ -22,6 +22,7 @@ from ullage.untrusted import regular_size
 from ullage.world.notices import notify
 from ullage.world.polygons import plain_obj, triangle_corners
 from ullage.world.repair import repaired
+from ullage.world.scene import joined_normals
 
 Mesh = tuple[Floats, Ints]
 
@@ -97,11 +98,7 @@ def joined(parts: list[MeshFile]) -> MeshFile:
         return MeshFile(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     shift = np.cumsum([0, *(len(part.vertices) for part in parts)])
     faces = np.concatenate([part.faces + s for part, s in zip(parts, shift, strict=False)]).astype(np.int32)
-    normals = None
-    if any(part.corner_normals is not None for part in parts):
-        rows = [np.zeros((len(p.faces), 3, 3)) if p.corner_normals is None else p.corner_normals for p in parts]
-        normals = np.concatenate(rows)
-    return MeshFile(np.concatenate([part.vertices for part in parts]), faces, normals)
+    return MeshFile(np.concatenate([part.vertices for part in parts]), faces, joined_normals(parts))
 
 
 def mended(mesh: MeshFile, *, where: str) -> MeshFile:
@@ -301,16 +298,12 @@ def _moved(mesh: MeshFile, matrix: Floats) -> MeshFile:
     linear = matrix[:3, :3]
     vertices, faces, normals = mesh.vertices @ linear.T + matrix[:3, 3], mesh.faces, mesh.corner_normals
     side = np.linalg.det(linear)
+    normals = None if normals is None or abs(side) <= 1e-300 else normals @ np.linalg.inv(linear)
     if normals is not None:
-        normals = _turned(normals, linear) if abs(side) > 1e-300 else None
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-300)
     if side < 0:
         faces, normals = faces[:, ::-1], None if normals is None else normals[:, ::-1]
     return MeshFile(vertices, faces, normals)
-
-
-def _turned(normals: Floats, linear: Floats) -> Floats:
-    out = normals @ np.linalg.inv(linear)
-    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=2, keepdims=True), 1e-300))
 
 
 def _bytes(path: Path) -> bytes:
@@ -329,27 +322,15 @@ def _bytes(path: Path) -> bytes:
 
 def _beside(path: Path) -> Any:
     """Gives trimesh the files that a mesh names, if they lie in the mesh's folder."""
-    from trimesh.resolvers import Resolver
+    from trimesh.resolvers import FilePathResolver
 
     home = path.resolve().parent
 
-    class Beside(Resolver):
-        def __init__(self) -> None:
-            pass
-
+    class Beside(FilePathResolver):
         def get(self, key: str) -> bytes:
             asked = (home / key).resolve()
             if not asked.is_relative_to(home):
                 raise InputError(f"names {key!r}, which reaches out of its folder", where=path)
             return _bytes(asked)
 
-        def namespaced(self, namespace: str) -> Any:
-            raise ValueError(namespace)
-
-        def keys(self) -> list[str]:
-            return []
-
-        def write(self, name: str, data: Any) -> None:
-            raise ValueError(name)
-
-    return Beside()
+    return Beside(str(home))

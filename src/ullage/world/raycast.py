@@ -187,19 +187,19 @@ class _Body:
         """Return whether this body leaves the lines between points free, except for given lengths at both ends."""
         if not len(ends):  # an empty Embree query takes as long as a hundred rays
             return np.ones(0, bool)
-        origin, ray = np.empty(ends.shape, np.float32), np.empty(ends.shape, np.float32)
-        reach = np.empty(len(ends), np.float32)
-        aim(starts, ends, self.centre, float(before_m), float(after_m), origin, ray, reach)
-        return np.asarray(self.tree.run(origin, ray, dists=reach, query="OCCLUDED") < 0)
+        return self._between(starts, ends, before_m, after_m, "OCCLUDED") < 0
 
     def first(self, starts: Floats, ends: Floats, before_m: float, after_m: float) -> Longs:
         """First face of this body between points, but for the first and last metres given; -1 where there is none."""
+        found = self._between(starts, ends, before_m, after_m, "INTERSECT")
+        known = (found >= 0) & (found < len(self.face_id))
+        return np.where(known, self.face_id.take(found, mode="clip"), -1).astype(np.int64)
+
+    def _between(self, starts: Floats, ends: Floats, before_m: float, after_m: float, query: str) -> NDArray[Any]:
         origin, ray = np.empty(ends.shape, np.float32), np.empty(ends.shape, np.float32)
         reach = np.empty(len(ends), np.float32)
         aim(starts, ends, self.centre, float(before_m), float(after_m), origin, ray, reach)
-        found = np.asarray(self.tree.run(origin, ray, dists=reach, query="INTERSECT"))
-        known = (found >= 0) & (found < len(self.face_id))
-        return np.where(known, self.face_id.take(found, mode="clip"), -1).astype(np.int64)
+        return np.asarray(self.tree.run(origin, ray, dists=reach, query=query))
 
     def meet(self, start: Floats, rays: Floats, face: Ints, distance: Floats, cosine: Floats) -> None:
         near = (start - self.centre).astype(np.float32)

@@ -98,7 +98,11 @@ class Scene(Displayed):
         if len(ids) and (ids.min() < 0 or ids.max() >= len(self.objects)):
             raise InputError("a face or wire names an object that is not there", where=self.name)
         if self.corner_normals is not None:
-            object.__setattr__(self, "corner_normals", self._checked(self.corner_normals, len(faces)))
+            normals = np.ascontiguousarray(self.corner_normals, np.float64)
+            if normals.shape != (len(faces), 3, 3) or not np.isfinite(normals).all():
+                what = f"corner normals of shape {normals.shape} for {len(faces)} faces"
+                raise InputError(what, where=self.name, allowed=f"finite numbers ({len(faces)}, 3, 3)")
+            object.__setattr__(self, "corner_normals", normals)
         for key, value in (("vertices", vertices), ("faces", faces), ("face_object", owner)):
             object.__setattr__(self, key, value)
 
@@ -108,13 +112,6 @@ class Scene(Displayed):
         if out.size and (out.ndim != 2 or out.shape[1] != 3):
             raise InputError(f"{name} have shape {out.shape}", where=self.name, allowed="(n, 3)")
         return out.reshape(-1, 3)
-
-    def _checked(self, normals: Floats, count: int) -> Floats:
-        out = np.ascontiguousarray(normals, np.float64)
-        if out.shape != (count, 3, 3) or not np.isfinite(out).all():
-            what = f"corner normals of shape {out.shape} for {count} faces"
-            raise InputError(what, where=self.name, allowed=f"finite numbers ({count}, 3, 3)")
-        return out
 
     def __repr__(self) -> str:
         size = " x ".join(f"{length:.2f}" for length in self.bounds[1] - self.bounds[0])
@@ -317,9 +314,7 @@ class Scene(Displayed):
         Raises:
             InputError: there is no such object, or a number is not finite.
         """
-        mine = self._of(name) if name else np.ones(len(self.objects), bool)
-        if not mine.any() and name:
-            self.object(name)  # raises an error that lists the names
+        mine = self._named(name)
         centre = _point(about, "about", "moved")
         angles = {"roll_deg": roll_deg, "pitch_deg": pitch_deg, "yaw_deg": yaw_deg}
         turn = transform(rpy_rad=np.radians([number(key, angle, "moved") for key, angle in angles.items()]))
@@ -373,9 +368,7 @@ class Scene(Displayed):
         """
         if smooth not in CREASES_DEG:
             raise InputError(f"smooth is {shown(smooth)}", where="smoothed", allowed=", ".join(CREASES_DEG))
-        mine = self._of(name) if name else np.ones(len(self.objects), bool)
-        if name and not mine.any():
-            self.object(name)  # raises an error that lists the names
+        mine = self._named(name)
         objects = (replace(o, smooth=smooth) if my else o for o, my in zip(self.objects, mine, strict=True))
         return replace(self, objects=tuple(objects))
 
@@ -391,6 +384,13 @@ class Scene(Displayed):
     def _of(self, model: str) -> Bools:
         """Which objects (o) belong to a model."""
         return np.array([o.name == model or o.name.startswith(f"{model}::") for o in self.objects], bool)
+
+    def _named(self, name: str) -> Bools:
+        """Which objects (o) a name means; empty: all."""
+        mine = self._of(name) if name else np.ones(len(self.objects), bool)
+        if name and not mine.any():
+            self.object(name)  # raises an error that lists the names
+        return mine
 
     @classmethod
     def empty(cls, name: str = "empty") -> Scene:
@@ -452,7 +452,7 @@ class Scene(Displayed):
                 np.concatenate([p.wires.object_id + o for p, o in zip(parts, owner, strict=False)]).astype(np.int32),
             ),
             name,
-            corner_normals=_together(parts),
+            corner_normals=joined_normals(parts),
         )
 
 
@@ -461,11 +461,7 @@ def _chosen(given: str | Material) -> Material:
 
 
 def _point(value: ArrayLike, name: str, where: str) -> Floats:
-    """Three finite numbers [m].
-
-    Raises:
-        InputError: it is something else.
-    """
+    """Three finite numbers [m]."""
     try:
         point = np.array(value, float)
     except (TypeError, ValueError):
@@ -486,8 +482,8 @@ def _distinct(taken: Sequence[str], added: Sequence[SceneObject], name: str) -> 
     return tuple(out)
 
 
-def _together(parts: Sequence[Scene]) -> Floats | None:
-    """Corner normals of several scenes; None where none has some."""
+def joined_normals(parts: Sequence[Any]) -> Floats | None:
+    """Corner normals of several scenes or meshes, zero where one has none; None where none has some."""
     if all(part.corner_normals is None for part in parts):
         return None
     rows = [np.zeros((len(p.faces), 3, 3)) if p.corner_normals is None else p.corner_normals for p in parts]
