@@ -17,13 +17,12 @@ import numpy as np
 from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.geometry import apply, matrix_quat
-from ullage.world import shapes
 from ullage.world.materials import Material
 from ullage.world.meshes import MOST_FACES, Mesh
 from ullage.world.notices import one_notice_per_kind
 from ullage.world.scene import Scene, SceneObject, Wires
 from ullage.world.sdf_frames import ScopeFrames
-from ullage.world.sdf_geometry import SAGITTA_M, GeometryReader, Rod
+from ullage.world.sdf_geometry import GeometryReader, Rod, round_bar
 from ullage.world.sdf_material import nearest_tag, read_material, read_smooth
 from ullage.world.sdf_parse import Node, read_pose
 from ullage.world.sdf_resolve import Missing, Resolver
@@ -139,8 +138,7 @@ class SceneWalk:
             self.rods.append((ends[0], ends[1], shape.radius_m, owner))
             return
         if isinstance(shape, Rod):  # wires stand still, so a moving rod is meshed
-            segment = shapes.sagitta_segment_m(shape.radius_m, SAGITTA_M)
-            shape = shapes.cylinder(shape.radius_m, shape.length_m, segment_m=segment)
+            shape = round_bar(shape.radius_m, shape.length_m)
         self.faces += len(shape[1])
         self.meshes.append((shape, frame_from_shape))
         self.owners.append(owner)

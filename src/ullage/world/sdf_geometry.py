@@ -126,35 +126,23 @@ class GeometryReader:
         return (vertices if pos is None else vertices + pos.numbers(3)), faces
 
 
-def _box(x: float, y: float, z: float) -> Mesh:
-    return shapes.box((x, y, z))
+def _segment_m(radius_m: float) -> float:
+    return shapes.sagitta_segment_m(radius_m, SAGITTA_M)
+
+
+def round_bar(radius_m: float, length_m: float) -> Mesh:
+    """A cylinder [m] as triangles, its facets within `SAGITTA_M` of the true surface."""
+    return shapes.cylinder(radius_m, length_m, segment_m=_segment_m(radius_m))
 
 
 def _cylinder(radius: float, length: float) -> Mesh | Rod:
-    if radius <= WIRE_RADIUS_M and length >= WIRE_SLENDERNESS * radius:
-        return Rod(radius, length)
-    return shapes.cylinder(radius, length, segment_m=shapes.sagitta_segment_m(radius, SAGITTA_M))
-
-
-def _sphere(radius: float) -> Mesh:
-    return shapes.sphere(radius, edge_m=_edge_m(radius))
+    is_wire = radius <= WIRE_RADIUS_M and length >= WIRE_SLENDERNESS * radius
+    return Rod(radius, length) if is_wire else round_bar(radius, length)
 
 
 def _edge_m(radius_m: float) -> float:
     """A triangle's middle bows out 4/3 as far as the middle of its edges."""
     return min(shapes.sagitta_segment_m(radius_m, 0.75 * BALL_SAGITTA_M), BALL_EDGE * radius_m)
-
-
-def _capsule(radius: float, length: float) -> Mesh:
-    return shapes.capsule(radius, length, segment_m=shapes.sagitta_segment_m(radius, SAGITTA_M))
-
-
-def _ellipsoid(x: float, y: float, z: float) -> Mesh:
-    return shapes.ellipsoid((x, y, z), edge_m=_edge_m(max(x, y, z)))
-
-
-def _cone(radius: float, length: float) -> Mesh:
-    return shapes.cone(radius, length, segment_m=shapes.sagitta_segment_m(radius, SAGITTA_M))
 
 
 def _plane(node: Node) -> Mesh:
@@ -170,12 +158,12 @@ def _polyline(lines: list[Node]) -> Mesh:
 
 
 _PRIMITIVES: dict[str, tuple[dict[str, tuple[float, ...]], Callable[..., Mesh | Rod]]] = {
-    "box": ({"size": (1.0, 1.0, 1.0)}, _box),
+    "box": ({"size": (1.0, 1.0, 1.0)}, lambda *size: shapes.box(size)),
     "cylinder": ({"radius": (1.0,), "length": (1.0,)}, _cylinder),
-    "sphere": ({"radius": (1.0,)}, _sphere),
-    "capsule": ({"radius": (0.5,), "length": (1.0,)}, _capsule),
-    "ellipsoid": ({"radii": (1.0, 1.0, 1.0)}, _ellipsoid),
-    "cone": ({"radius": (1.0,), "length": (1.0,)}, _cone),
+    "sphere": ({"radius": (1.0,)}, lambda r: shapes.sphere(r, edge_m=_edge_m(r))),
+    "capsule": ({"radius": (0.5,), "length": (1.0,)}, lambda r, h: shapes.capsule(r, h, segment_m=_segment_m(r))),
+    "ellipsoid": ({"radii": (1.0, 1.0, 1.0)}, lambda *radii: shapes.ellipsoid(radii, edge_m=_edge_m(max(radii)))),
+    "cone": ({"radius": (1.0,), "length": (1.0,)}, lambda r, h: shapes.cone(r, h, segment_m=_segment_m(r))),
 }
 """What makes each primitive: its sizes with the defaults of the specification [SDFormat], and the maker [m]."""
 

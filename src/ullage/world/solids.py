@@ -16,7 +16,7 @@ from ullage.geometry import apply, transform
 from ullage.world import shapes
 from ullage.world.materials import material
 from ullage.world.scene import Scene
-from ullage.world.sdf_geometry import SAGITTA_M, WIRE_RADIUS_M, WIRE_SLENDERNESS
+from ullage.world.sdf_geometry import WIRE_RADIUS_M, WIRE_SLENDERNESS, round_bar
 from ullage.world.shapes import Shape
 
 ROUND_SIDES = 16
@@ -70,8 +70,7 @@ class Rod:
 
     def mesh(self) -> Shape:
         """The rod as triangles."""
-        segment = shapes.sagitta_segment_m(self.radius_m, SAGITTA_M)
-        vertices, faces = shapes.cylinder(self.radius_m, self.length_m, segment_m=segment)
+        vertices, faces = round_bar(self.radius_m, self.length_m)
         return apply(transform(self.center, self.rpy_rad), vertices), faces
 
 
