@@ -55,13 +55,7 @@ def read_smooth(shape: Node) -> Smooth:
 
 def nearest_tag(*nodes: Node | None) -> Node | None:
     """Return the first `<ullage:material>` that is a child of these elements, nearest first."""
-    for node in (one for one in nodes if one is not None):
-        for child in node.element:
-            if child.tag in (f"{{{NAMESPACE}}}material", "ullage:material"):
-                return Node(child, node.file)
-            if child.prefix == "ullage" and child.tag.endswith("}material"):
-                return Node(child, node.file)
-    return None
+    return next((tag for node in nodes if node is not None for tag in node.ours("material")), None)
 
 
 def _tagged(tag: Node) -> Material:

@@ -185,6 +185,13 @@ class Node:
         found = self.element.find(tag)
         return None if found is None else Node(found, self.file)
 
+    def ours(self, name: str) -> Iterator[Node]:
+        """Its children `<ullage:NAME>`, in order, whether or not their prefix is declared."""
+        names = f"{{{NAMESPACE}}}{name}", f"ullage:{name}"
+        for child in self.element.iterchildren(etree.Element):
+            if child.tag in names or (child.prefix == "ullage" and child.tag.endswith(f"}}{name}")):
+                yield Node(child, self.file)
+
     def need(self, tag: str) -> Node:
         """Return the first child of this name.
 

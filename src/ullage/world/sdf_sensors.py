@@ -27,7 +27,7 @@ from ullage.fan import FULL_DEG
 from ullage.geometry import invert, transform
 from ullage.specs import MountSpec, RadarSpec, Rig
 from ullage.world.sdf_frames import ScopeFrames
-from ullage.world.sdf_parse import NAMESPACE, Node, read_pose
+from ullage.world.sdf_parse import Node, read_pose
 from ullage.world.sdf_tree import Link
 
 KIND = "ullage_radar"
@@ -78,11 +78,7 @@ class _Found(NamedTuple):
 
 
 def _radar(found: _Found) -> RadarSpec:
-    """Return the radar that a sensor declares.
-
-    Raises:
-        InputError: a value is not valid.
-    """
+    """Return the radar that a sensor declares."""
     node, values = found.sensor, dict[str, Any]()
     settings = {} if found.settings is None else _values(found.settings)
     settings.pop("update_rate", None)
@@ -130,7 +126,7 @@ def _declared(frames: ScopeFrames, model_from_world: Floats) -> Iterator[_Found]
     """Each radar that is declared in the links of a model."""
     for link in frames.scope.links:
         for sensor in link.node.children("sensor"):
-            own = list(_own(sensor))
+            own = list(sensor.ours("radar"))
             if not own and _custom_type(sensor) != KIND:
                 continue
             place = _place(frames, model_from_world, link, sensor)
@@ -138,7 +134,7 @@ def _declared(frames: ScopeFrames, model_from_world: Floats) -> Iterator[_Found]
                 yield _Found(sensor, own[0] if own else None, place, link)
             for radar in own if len(own) > 1 else ():
                 yield _Found(sensor, radar, place, link, read_pose(radar).matrix)
-        for alone in _own(link.node):
+        for alone in link.node.ours("radar"):
             yield _Found(alone, alone, _place(frames, model_from_world, link, alone), link)
 
 
@@ -168,17 +164,6 @@ def _custom_type(node: Node) -> str:
     return str(found[0]).strip() if found else ""
 
 
-def _is_ours(element: Any) -> bool:
-    tag = str(element.tag)
-    return tag in (f"{{{NAMESPACE}}}radar", "ullage:radar") or (element.prefix == "ullage" and tag.endswith("}radar"))
-
-
-def _own(node: Node) -> Iterator[Node]:
-    for child in node.element.iterchildren(etree.Element):
-        if _is_ours(child):
-            yield Node(child, node.file)
-
-
 def _values(node: Node) -> dict[str, Any]:
     """Children by name: text, or what they hold where they hold elements; `none` stands for nothing."""
     out: dict[str, Any] = {}
@@ -191,10 +176,7 @@ def _values(node: Node) -> dict[str, Any]:
 
 
 def _fan(node: Node) -> tuple[dict[str, Any], float]:
-    """Settings of the thesis' model that a `<ray>` or `<lidar>` block tells, and where the fan's middle is [rad].
-
-    Settings are empty without such a block.
-    """
+    """Settings of the thesis' model in a `<ray>` or `<lidar>` block, if any, and where the fan's middle is [rad]."""
     block = node.child("ray") or node.child("lidar")
     if block is None:
         return {}, 0.0

@@ -149,21 +149,18 @@ def _geometry(node: Node) -> Any:
                 shape.place.refuse(f"<{shape.tag}> has no <{key}>")
         made = _like(shape.tag, shape)
         if shape.tag == "mesh":
-            _text(made, shape, "uri", shape.attribute("filename"))
+            made.append(_like("uri", shape, shape.attribute("filename")))
             scale = shape.attribute("scale", "1 1 1").split()
-            _text(made, shape, "scale", " ".join(scale * 3 if len(scale) == 1 else scale))
+            made.append(_like("scale", shape, " ".join(scale * 3 if len(scale) == 1 else scale)))
         else:
-            for key, value in shape.element.attrib.items():
-                _text(made, shape, key, value)
+            made.extend(_like(key, shape, value) for key, value in shape.element.attrib.items())
         out.append(made)
     return out
 
 
 def _pose_at(matrix: Floats, place: Node) -> Any:
     values = [*matrix[:3, 3], *matrix_quat(matrix[:3, :3])]
-    out = _like("pose", place, rotation_format="quat_xyzw")
-    out.text = " ".join(repr(float(value)) for value in values)
-    return out
+    return _like("pose", place, " ".join(repr(float(value)) for value in values), rotation_format="quat_xyzw")
 
 
 def _origin(node: Node) -> Floats:
@@ -172,23 +169,16 @@ def _origin(node: Node) -> Floats:
         return np.eye(4)
     both = []
     for key in ("xyz", "rpy"):
-        made = _like(f"{key} of origin", origin)
-        made.text = origin.attribute(key, "0 0 0")
-        both.append(Node(made, node.file).numbers(3, most=EARTH_M))
+        made = Node(_like(f"{key} of origin", origin, origin.attribute(key, "0 0 0")), node.file)
+        both.append(made.numbers(3, most=EARTH_M))
     return transform(*both)
 
 
-def _like(tag: str, node: Node, **attributes: str) -> Any:
+def _like(tag: str, node: Node, text: str | None = None, /, **attributes: str) -> Any:
     """A new element that claims the place of another."""
     out: Any = etree.Element(tag.replace(" ", "-"), attributes)
-    out.sourceline = node.place.line
+    out.sourceline, out.text = node.place.line, text
     return out
-
-
-def _text(parent: Any, node: Node, tag: str, text: str) -> None:
-    made = _like(tag, node)
-    made.text = text
-    parent.append(made)
 
 
 def _retros(root: Node) -> dict[str, str]:
