@@ -255,7 +255,9 @@ def _retriangulated(points: Floats, tri: Longs, flats: _FlatFaces, rounded: floa
     around = np.bincount(rows[:, 0], np.linalg.norm(points[rows[:, 1]] - points[rows[:, 2]], axis=1), len(size))
     rows = rows[size[rows[:, 0]] > 1]
     first, many = np.unique(rows[:, 0], return_index=True, return_counts=True)[1:]
-    found = [_of_three(rows, first[many == 3]), _of_four(points, rows, first[many == 4], flats.normals)]
+    three = first[many == 3]
+    triangles = np.stack([rows[three, 1], rows[three, 2], rows[three + 1, 2]], 1), rows[three, 0]
+    found = [triangles, _of_four(points, rows, first[many == 4], flats.normals)]
     done = np.concatenate([owner for _, owner in found])
     found.append(_of_many(points, rows[~np.isin(rows[:, 0], done)], flats.normals))
     cut, owner = (np.concatenate(parts) for parts in zip(*found, strict=True))
@@ -320,11 +322,6 @@ def _straight(points: Floats, edge: Longs, rounded: float) -> tuple[Longs, Longs
     np.logical_or.at(bent, group[middle], off > np.maximum(BENDS_RAD[0] * chord, 2 * rounded))
     group[middle[bent[group[middle]]]] = -1
     return group, exits
-
-
-def _of_three(rows: Longs, first: Longs) -> tuple[Longs, Longs]:
-    """The faces whose three edges begin at `first`, as triangles, and their numbers."""
-    return np.stack([rows[first, 1], rows[first, 2], rows[first + 1, 2]], 1), rows[first, 0]
 
 
 def _of_four(points: Floats, rows: Longs, first: Longs, normals: Floats) -> tuple[Longs, Longs]:

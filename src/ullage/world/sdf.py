@@ -27,7 +27,7 @@ from ullage.world.sdf_material import nearest_tag, read_material, read_smooth
 from ullage.world.sdf_parse import Node, read_pose
 from ullage.world.sdf_resolve import Missing, Resolver
 from ullage.world.sdf_sensors import ray_rigs_of, rigs_of
-from ullage.world.sdf_tree import Link, Scope, TreeReader
+from ullage.world.sdf_tree import Frame, Scope, TreeReader
 from ullage.world.smoothing import Smooth
 
 Geometry = Literal["collision", "visual"]
@@ -109,7 +109,7 @@ class SceneWalk:
             self._add_actor(frames, actor, tag)
 
     def _add_link(
-        self, frames: ScopeFrames, here: Floats, link: Link, name: str, tag: Node | None,
+        self, frames: ScopeFrames, here: Floats, link: Frame, name: str, tag: Node | None,
         *, motion: Trajectory | None = None,
     ) -> None:  # fmt: skip
         tag = nearest_tag(link.node) or tag

@@ -9,9 +9,7 @@ import numpy as np
 from ullage.arrays import Floats
 from ullage.geometry import invert
 from ullage.world.sdf_parse import Place, Pose
-from ullage.world.sdf_tree import Frame, Joint, Link, Scope
-
-Named = Link | Joint | Frame | Scope
+from ullage.world.sdf_tree import Frame, Scope
 
 
 class ScopeFrames:
@@ -25,8 +23,8 @@ class ScopeFrames:
     def __init__(self, scope: Scope, around: ScopeFrames | None = None) -> None:
         self.scope = scope
         self.around = around
-        self.names: dict[str, Named] = {}
-        named: list[Named] = [*scope.models, *scope.links, *scope.frames, *scope.joints]
+        self.names: dict[str, Frame | Scope] = {}
+        named: list[Frame | Scope] = [*scope.models, *scope.links, *scope.frames, *scope.joints]
         for thing in named:
             self._add(thing)
         self.inner = {model.name: ScopeFrames(model, self) for model in scope.models}
@@ -39,7 +37,7 @@ class ScopeFrames:
         for frame in scope.frames:
             self._check_attached(frame)
 
-    def _add(self, thing: Named) -> None:
+    def _add(self, thing: Frame | Scope) -> None:
         if thing.name in self.names:
             thing.node.place.warn(f"the name {thing.name!r} is used twice in {self.scope.name!r}", kind="name twice")
             number = 1
@@ -91,11 +89,9 @@ class ScopeFrames:
             return self._outside(name, at)
         place = thing.pose.place or thing.node.place
         usual, matrix = "", thing.pose.matrix
-        if isinstance(thing, Joint):
-            usual = thing.child
-        elif isinstance(thing, Frame):
-            usual = thing.attached_to
-        elif isinstance(thing, Scope) and thing.placement_frame:
+        if isinstance(thing, Frame):
+            usual = thing.base
+        elif thing.placement_frame:
             matrix = matrix @ invert(self.inner[name].scope_from(thing.placement_frame, at=place))
         return thing.pose.relative_to or usual, matrix, place
 
@@ -117,7 +113,7 @@ class ScopeFrames:
     def _check_attached(self, frame: Frame) -> None:
         seen = {frame.name: None}
         at = frame
-        while at.attached_to and isinstance(following := self.names.get(at.attached_to), Frame):
+        while at.base and isinstance(following := self.names.get(at.base), Frame) and following.node.tag == "frame":
             if following.name in self._attached:
                 break
             if following.name in seen:
@@ -125,6 +121,6 @@ class ScopeFrames:
             seen[following.name] = None
             at = following
         else:
-            if at.attached_to:
-                self.scope_from(at.attached_to, at=at.node.place)
+            if at.base:
+                self.scope_from(at.base, at=at.node.place)
         self._attached |= set(seen)

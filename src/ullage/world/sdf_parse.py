@@ -78,17 +78,14 @@ def read_xml(path: Path, *, root: tuple[str, ...] = ()) -> Element:
     Raises:
         InputError: the file is missing, too large, empty, not UTF-8 XML, or declares entities.
     """
-    return parse_xml(_bytes(path), path, root=root)
-
-
-def _bytes(path: Path) -> bytes:
     try:
         size = regular_size(path, allowed="an XML file")
         if size > MOST_BYTES:
             raise InputError(f"{size / 2**20:.0f} MiB of XML", where=path, allowed=f"at most {MOST_BYTES // 2**20} MiB")
-        return path.read_bytes()
+        raw = path.read_bytes()
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", where=path) from None
+    return parse_xml(raw, path, root=root)
 
 
 def parse_xml(raw: bytes, path: Path, *, root: tuple[str, ...] = ()) -> Element:

@@ -28,7 +28,7 @@ from ullage.geometry import invert, transform
 from ullage.specs import MountSpec, RadarSpec, Rig
 from ullage.world.sdf_frames import ScopeFrames
 from ullage.world.sdf_parse import Node, read_pose
-from ullage.world.sdf_tree import Link
+from ullage.world.sdf_tree import Frame
 
 KIND = "ullage_radar"
 RAY_TYPES = ("ray", "gpu_ray", "lidar", "gpu_lidar")
@@ -67,7 +67,7 @@ class _Found(NamedTuple):
     sensor: Node  # `<sensor>`, or `<ullage:radar>` alone
     settings: Node | None  # `<ullage:radar>`
     model_from_sensor: Floats
-    link: Link
+    link: Frame
     sensor_from_radar: Floats | None = None  # of one of several radars that share the rays of the sensor
 
     @property
@@ -150,7 +150,7 @@ def _ray_sensors(frames: ScopeFrames, model_from_world: Floats) -> Iterator[_Fou
                 yield found
 
 
-def _place(frames: ScopeFrames, model_from_world: Floats, link: Link, node: Node) -> Floats:
+def _place(frames: ScopeFrames, model_from_world: Floats, link: Frame, node: Node) -> Floats:
     """The transform from a sensor to its model."""
     pose = frames.scope_from_pose(read_pose(node), link.name, at=node.place)
     return model_from_world @ frames.world_from_scope() @ pose

@@ -33,32 +33,13 @@ DEEPEST = 64
 
 
 @dataclass(slots=True)
-class Link:
-    """A rigid part: its shapes are read from its node when the scene is made."""
-
-    name: str
-    pose: Pose
-    node: Node
-
-
-@dataclass(slots=True)
-class Joint:
-    """Joint, which is also a frame, at its child unless it has a pose."""
-
-    name: str
-    pose: Pose
-    node: Node
-    child: str
-
-
-@dataclass(slots=True)
 class Frame:
-    """Named frame, at the element that it is attached to unless it has a pose."""
+    """Link, joint or named frame; the shapes of a link are read from its node when the scene is made."""
 
     name: str
     pose: Pose
     node: Node
-    attached_to: str = ""
+    base: str = ""  # the joint's child, or what the named frame is attached to: its pose is in that unless it says else
 
 
 @dataclass(slots=True)
@@ -70,8 +51,8 @@ class Scope:
     own_frame: str = "__model__"  # or "world"
     pose: Pose = field(default_factory=lambda: Pose(np.eye(4)))
     placement_frame: str = ""
-    links: list[Link] = field(default_factory=list)
-    joints: list[Joint] = field(default_factory=list)
+    links: list[Frame] = field(default_factory=list)
+    joints: list[Frame] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
     models: list[Scope] = field(default_factory=list)
     actors: list[Scope] = field(default_factory=list)
@@ -157,9 +138,9 @@ class TreeReader:
 
     def _fill(self, scope: Scope, node: Node) -> None:
         for link in node.children("link"):
-            scope.links.append(Link(link.name, read_pose(link), link))
+            scope.links.append(Frame(link.name, read_pose(link), link))
         for joint in node.children("joint"):
-            scope.joints.append(Joint(joint.name, read_pose(joint), joint, joint.text_of("child")))
+            scope.joints.append(Frame(joint.name, read_pose(joint), joint, joint.text_of("child")))
         for frame in node.children("frame"):
             scope.frames.append(Frame(frame.name, read_pose(frame), frame, frame.attribute("attached_to")))
         for model in node.children("model"):
