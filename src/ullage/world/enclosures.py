@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from shapely import LineString, Point, Polygon, box
 
 from ullage.arrays import Floats
 from ullage.world.hold import quad
@@ -47,8 +48,6 @@ class WebTank:
     @property
     def opening(self) -> Any:
         """Outline (y, z) of an opening to fly through, its corners rounded: a shapely polygon."""
-        from shapely import box
-
         wide, high = self.opening_m
         round_m = 0.2 * min(wide, high)
         inner = box(round_m - wide / 2, (self.height_m - high) / 2 + round_m,
@@ -58,8 +57,6 @@ class WebTank:
     @property
     def web(self) -> Any:
         """Outline (y, z) of a web with its openings: a shapely polygon."""
-        from shapely import LineString, Point, box
-
         side = (self.opening_m[0] + self.width_m) / 4  # middle of the plate beside an opening
         size = min(0.3, 0.3 * (self.width_m - self.opening_m[0]) / 2)
         low, high = self.depth_m + 0.65, self.height_m - self.depth_m - 0.65
@@ -181,8 +178,6 @@ def tunnel_parts(made: Tunnel, openings: Sequence[Any] = ()) -> list[Part]:
         made: its numbers.
         openings: shapely polygons in the coordinates of the wall's `Skin`.
     """
-    from shapely import Polygon
-
     whole = Polygon(np.concatenate([made.arch, made.bed[1:-1]]))
     out = [Part("wall", made.made_of, made.skin(made.arch).mesh(openings)),
            Part("floor", made.made_of, made.skin(made.bed).mesh())]  # fmt: skip

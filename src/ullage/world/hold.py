@@ -15,6 +15,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from shapely import LineString, Polygon, box
 
 from ullage.arrays import Floats
 from ullage.errors import InputError
@@ -173,8 +174,6 @@ def _coamings(plan: HoldPlan) -> Shape:
 
 def frames(plan: HoldPlan) -> list[Part]:
     """Transverse side frames: an upright web with a bracket at each end, and a flange on its inner edge."""
-    from shapely import Polygon
-
     w, web, bracket = plan.half_m, plan.frame_web_m, plan.bracket_m
     out = plan.hopper_m, plan.topside_m
     fall = math.tan(math.radians(plan.hopper_deg))
@@ -198,8 +197,6 @@ def frames(plan: HoldPlan) -> list[Part]:
 
 def bulkhead(plan: HoldPlan, *, ahead: bool) -> list[Part]:
     """Return a corrugated transverse bulkhead with its stools, at the forward or the after end."""
-    from shapely import Polygon, box
-
     section = Polygon(plan.section())
     w, low, high = plan.half_m, plan.lower_stool_m, plan.height_m - plan.upper_stool_m
     depth, foot = plan.corrugation_m / 2, plan.corrugation_m / 2 + plan.stool_foot_m
@@ -245,8 +242,6 @@ def _leaning(points: Floats, *, axis: int, at: tuple[float, float], depth: tuple
 
 def _level(section: Any, z: float, x0: float, x1: float) -> Shape:
     """Return a horizontal sheet across the hold at height z."""
-    from shapely import LineString
-
     y0, _, y1, _ = (section & LineString([(-1e3, z), (1e3, z)])).bounds
     return quad([(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)])
 

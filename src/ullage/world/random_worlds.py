@@ -18,14 +18,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from shapely import LineString, MultiLineString, Point, Polygon, affinity, box, get_parts, union_all
+from shapely.geometry.polygon import orient
 
 from ullage.arrays import Floats
 from ullage.config import split_source
 from ullage.errors import InputError
 from ullage.world import shapes
 from ullage.world.enclosures import Tunnel, WebTank, bent_line, tunnel_parts, web_tank_parts
+from ullage.world.load import load_scene
 from ullage.world.materials import material
 from ullage.world.scene import Scene
+from ullage.world.section import section, wire_section
 from ullage.world.shapes import Shape
 from ullage.world.solids import Part, Rod, Solid, block, clean, flat, join, moved, scene_of, turned_over
 
@@ -151,8 +155,6 @@ def _heights(made: Plan, height_m: float) -> None:
 
 
 def _rectangle(x_m: float, y_m: float) -> Any:
-    from shapely import box
-
     return box(-x_m / 2, -y_m / 2, x_m / 2, y_m / 2)
 
 
@@ -168,8 +170,6 @@ def _room(made: Plan) -> None:
 
 def _corridor(made: Plan) -> None:
     """A straight or bent corridor with recesses."""
-    from shapely import box, union_all
-
     rng = made.rng
     length, width, height = rng.uniform(10, 22), rng.uniform(1.9, 3.2), rng.uniform(2.4, 3.2)
     parts = [box(0, 0, length, width)]
@@ -187,15 +187,11 @@ def _corridor(made: Plan) -> None:
 
 def _left(polygon: Any) -> Any:
     """Return the polygon counter-clockwise and without redundant corners."""
-    from shapely.geometry.polygon import orient
-
     return orient(polygon.simplify(1e-6))
 
 
 def _polygon(made: Plan) -> None:
     """A room with five to eight corners and no right angles."""
-    from shapely import Polygon
-
     rng = made.rng
     while True:
         count = rng.integers(5, 9)
@@ -288,8 +284,6 @@ def _lying_tank(made: Plan) -> None:
 
 def _web_frames(made: Plan) -> None:
     """A tank whose web frames leave openings that are wide enough to fly through."""
-    from shapely import box, union_all
-
     rng = made.rng
     spacing, width, height = rng.uniform((2.6, 4.2, 3.6), (3.8, 6.0, 5.6))
     tank = WebTank(
@@ -306,8 +300,6 @@ def _web_frames(made: Plan) -> None:
 
 def _tunnel(made: Plan) -> None:
     """A round tunnel with one bend, a floor and a channel in it."""
-    from shapely import LineString
-
     rng = made.rng
     radius, floor = rng.uniform(1.7, 2.6), rng.uniform(0.2, 0.35)
     bend, before, after = rng.choice([-1, 1]) * np.radians(rng.uniform(25, 90)), *rng.uniform(4.0, 9.0, 2)
@@ -340,14 +332,8 @@ def _machines(made: Plan) -> None:
         along_x, side = rng.random() < 0.5, rng.choice([-1.0, 1.0])
         off = side * ((y if along_x else x) / 2 - radius - rng.uniform(0.05, 0.6))
         ends = ((-x / 2 + 0.02, off), (x / 2 - 0.02, off)) if along_x else ((off, -y / 2 + 0.02), (off, y / 2 - 0.02))
-        _bar(made, Rod(f"pipe_{k + 1}", "steel", (*ends[0], height), (*ends[1], height), radius))
-
-
-def _bar(made: Plan, rod: Rod) -> None:
-    from shapely import LineString
-
-    low, high = min(rod.start[2], rod.end[2]) - rod.radius_m, max(rod.start[2], rod.end[2]) + rod.radius_m
-    made.add(rod, LineString([rod.start[:2], rod.end[:2]]).buffer(rod.radius_m), low, high)
+        pipe = Rod(f"pipe_{k + 1}", "steel", (*ends[0], height), (*ends[1], height), radius)
+        made.add(pipe, LineString(ends).buffer(radius), height - radius, height + radius)
 
 
 def _shelves(made: Plan) -> None:
@@ -366,8 +352,6 @@ def _shelves(made: Plan) -> None:
 
 def _rack(made: Plan, number: int, y_m: float, length_m: float, deep_m: float, top_m: float) -> None:
     """One row of shelving along x: uprights, boards, and boxes on some of them."""
-    from shapely import box
-
     rng = made.rng
     left = rng.uniform(-0.05, 0.05) * length_m - length_m / 2
     frame, boards, goods = [], [], []
@@ -443,8 +427,6 @@ def _stand(
     shape: Callable[[Floats], Shape] | None = None,
 ) -> None:
     """Place an object of a size (3) [m] at a free place with a random heading; leave it out if there is none."""
-    from shapely import affinity
-
     size = np.asarray(size, float)
     at = _spot(made, float(np.hypot(size[0], size[1])) / 2 + 0.05)
     if at is None:
@@ -458,8 +440,6 @@ def _stand(
 
 def _spot(made: Plan, radius_m: float, *, apart_m: float = 0.3) -> tuple[float, float] | None:
     """Draw a place whose disc lies within the walls and clear of all objects, or None after 60 draws."""
-    from shapely import Point
-
     low_x, low_y, high_x, high_y = made.footprint.bounds
     for _ in range(60):
         at = made.rng.uniform((low_x, low_y), (high_x, high_y))
@@ -472,8 +452,6 @@ def _spot(made: Plan, radius_m: float, *, apart_m: float = 0.3) -> tuple[float, 
 
 def _of_file(made: Plan) -> None:
     """Vary a world file: change some materials and add up to three objects."""
-    from ullage.world.load import load_scene
-
     scene, rng = load_scene(made.kind), made.rng
     objects = [
         replace(thing, material=material(made.pick(WALLS))) if rng.random() < 0.3 else thing for thing in scene.objects
@@ -490,23 +468,17 @@ def _of_file(made: Plan) -> None:
 
 def _inside(scene: Scene, band_m: tuple[float, float]) -> Any:
     """Return the largest horizontal area that no surface crosses at the heights of flight, a shapely polygon."""
-    from shapely import MultiLineString, box, get_parts, unary_union
-
-    from ullage.world.section import section, wire_section
-
     heights = np.linspace(band_m[0] - MARGIN_M, band_m[1] + MARGIN_M, 5)
     cuts = [MultiLineString(list(section(scene, float(z)))).buffer(THIN_M) for z in heights]
     cuts += [_disc(at, THIN_M) for z in heights for at in wire_section(scene, float(z), slab_m=MARGIN_M)]
     (x0, y0, _), (x1, y1, _) = scene.bounds
-    parts = get_parts(box(x0, y0, x1, y1) - unary_union(cuts))
+    parts = get_parts(box(x0, y0, x1, y1) - union_all(cuts))
     if not len(parts):
         raise InputError("the world leaves no room to fly", where=scene.name)
     return max(parts, key=lambda part: float(part.area))
 
 
 def _disc(at: Sequence[float], radius_m: float) -> Any:
-    from shapely import Point
-
     return Point(*at).buffer(radius_m, quad_segs=32)
 
 
