@@ -137,12 +137,8 @@ class Scene(Displayed):
     @property
     def bounds(self) -> Floats:
         """Lower and upper corner (2, 3) of all objects, moving ones at their start [m]."""
-        points = [self.corners().reshape(-1, 3)]
-        if len(self.wires):
-            r = self.wires.radius_m[:, None]
-            ends = self.wire_ends()
-            points += [(ends - r[:, None]).reshape(-1, 3), (ends + r[:, None]).reshape(-1, 3)]
-        cloud = np.concatenate(points)
+        radius, ends = self.wires.radius_m[:, None, None], self.wire_ends()
+        cloud = np.concatenate([self.corners(), ends - radius, ends + radius], axis=None).reshape(-1, 3)
         if not len(cloud):
             return np.zeros((2, 3))
         return np.stack([cloud.min(0), cloud.max(0)])
