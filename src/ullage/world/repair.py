@@ -8,8 +8,10 @@ alike. Vertices and faces are sorted by place, so that their order in the file d
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ullage.arrays import Bools, Floats, Ints, Longs
@@ -98,11 +100,9 @@ def _welded(vertices: Floats, faces: Longs) -> tuple[Floats, Longs]:
     """Vertices sorted by place, those nearer than `WELD` as one, and the faces by their numbers."""
     used, tri = np.unique(faces, return_inverse=True)
     places = vertices[used] + 0.0
-    order = np.lexsort(places.T[::-1])
-    places = places[order]
-    new = np.r_[True, (np.diff(places, axis=0) != 0).any(1)][: len(places)]
-    places, number = places[new], np.empty(len(order), np.int64)
-    number[order] = np.cumsum(new) - 1
+    once, many, order = _rows(places)
+    places, number = places[once], np.empty(len(order), np.int64)
+    number[order] = np.repeat(np.arange(len(once)), many)
     near = cKDTree(places).query_pairs(WELD * float(np.linalg.norm(np.ptp(places, axis=0))), output_type="ndarray")
     if len(near):
         _, first, group = np.unique(linked(near[:, 0], near[:, 1], len(places)), return_index=True, return_inverse=True)
@@ -131,13 +131,9 @@ def _rolled(tri: Longs, normals: Floats | None) -> tuple[Longs, Floats | None]:
 
 def _single(tri: Longs) -> tuple[Longs, Bools]:
     """Numbers (n) of faces, of several with the same three corners the first; whether (n) there were several."""
-    a, b, c = np.sort(tri, 1).T
-    order = np.lexsort((c, b, a))
-    first = np.flatnonzero(np.r_[True, (np.diff(np.stack([a, b, c])[:, order], axis=1) != 0).any(0)][: len(tri)])
-    twice = np.zeros(len(tri), bool)
-    twice[order[first]] = np.diff(np.r_[first, len(tri)]) > 1
-    once = np.sort(order[first])
-    return once, twice[once]
+    once, many, _ = _rows(np.sort(tri, 1))
+    order = np.argsort(once)
+    return once[order], many[order] > 1
 
 
 def _split(points: Floats, tri: Longs) -> tuple[Longs, Longs, Longs, int]:
@@ -273,21 +269,21 @@ def _outlines(points: Floats, tri: Longs, of: Longs, rounded: float) -> Longs:
     """Edges (n, 3) of flat faces, sorted: the face, and both ends. Corners where nothing turns or meets are passed."""
     start, end, face = tri.ravel(), np.roll(tri, -1, 1).ravel(), np.repeat(of, 3)
     rows = np.stack([face, np.minimum(start, end), np.maximum(start, end)], 1)
-    rows, count = _rows(rows)
-    rows = rows[count % 2 == 1]
-    edge = _rows(rows[:, [1, 2]])[0]
+    once, count, _ = _rows(rows)
+    rows = rows[once[count % 2 == 1]]
+    edge = rows[_rows(rows[:, 1:])[0], 1:]
     chain, exits = _straight(points, edge, rounded)
     ends, through = rows[:, 1:].copy(), chain[rows[:, 1:]].max(1, initial=-1)
     ends[through >= 0] = exits[through[through >= 0]]
-    return _rows(np.column_stack([rows[:, 0], np.sort(ends, 1)]))[0]
+    rows = np.column_stack([rows[:, 0], np.sort(ends, 1)])
+    return rows[_rows(rows)[0]]
 
 
-def _rows(rows: Longs) -> tuple[Longs, Longs]:
-    """The rows (n, k) sorted, each once, and how often each is there."""
+def _rows(rows: NDArray[Any]) -> tuple[Longs, Longs, Longs]:
+    """Numbers of different rows (n, k), of equal ones the first, sorted; how often each is there; the order of all."""
     order = np.lexsort(rows.T[::-1])
-    rows = rows[order]
-    first = np.flatnonzero(np.r_[True, (np.diff(rows, axis=0) != 0).any(1)][: len(rows)])
-    return rows[first], np.diff(np.r_[first, len(rows)])
+    first = np.flatnonzero(np.r_[True, (np.diff(rows[order], axis=0) != 0).any(1)][: len(rows)])
+    return order[first], np.diff(np.r_[first, len(rows)]), order
 
 
 def _straight(points: Floats, edge: Longs, rounded: float) -> tuple[Longs, Longs]:

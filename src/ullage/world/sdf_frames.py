@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import count
 
 import numpy as np
 
@@ -40,10 +41,8 @@ class ScopeFrames:
     def _add(self, thing: Frame | Scope) -> None:
         if thing.name in self.names:
             thing.node.place.warn(f"the name {thing.name!r} is used twice in {self.scope.name!r}", kind="name twice")
-            number = 1
-            while f"{thing.name}_{number}" in self.names:
-                number += 1
-            thing.name = f"{thing.name}_{number}"
+            names = (f"{thing.name}_{number}" for number in count(1))
+            thing.name = next(name for name in names if name not in self.names)
         self.names[thing.name] = thing
 
     def parts(self) -> Iterator[ScopeFrames]:

@@ -312,12 +312,12 @@ def read_pose(node: Node) -> Pose:
         norm = np.linalg.norm(values[3:])
         if norm < 1e-9:
             found.place.refuse("the quaternion has no length")
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = quat_matrix(values[3:] / norm), values[:3]
-        return Pose(matrix, relative_to, found.place)
-    values = found.numbers(6, most=EARTH_M)
-    angles = np.radians(values[3:]) if found.own_flag("degrees") else values[3:]
-    return Pose(transform(values[:3], angles), relative_to, found.place)
+        matrix = transform(values[:3])
+        matrix[:3, :3] = quat_matrix(values[3:] / norm)
+    else:
+        values = found.numbers(6, most=EARTH_M)
+        matrix = transform(values[:3], np.radians(values[3:]) if found.own_flag("degrees") else values[3:])
+    return Pose(matrix, relative_to, found.place)
 
 
 def warn_unknown(root: Node, reported: set[str]) -> None:

@@ -182,12 +182,8 @@ def _like(tag: str, node: Node, text: str | None = None, /, **attributes: str) -
 
 
 def _retros(root: Node) -> dict[str, str]:
-    found = {}
-    for tag in root.children("gazebo"):
-        retro = tag.text_of("laserRetro") or tag.text_of("laser_retro")
-        if retro:
-            found[tag.attribute("reference")] = retro
-    return found
+    found = ((tag, tag.text_of("laserRetro") or tag.text_of("laser_retro")) for tag in root.children("gazebo"))
+    return {tag.attribute("reference"): retro for tag, retro in found if retro}
 
 
 def _sensors(root: Node, link: str) -> Iterator[Any]:
