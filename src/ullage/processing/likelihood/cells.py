@@ -87,13 +87,8 @@ def render(
         alive, evidence, level = _visible(plane, views, owner, possible, spec)
         kept = np.bincount(owner, alive, len(surfaces)) > 0
         shown = evidence >= spec.evidence
-        crossed = np.zeros(grid.size)
         widening = BLOCKED * math.sqrt(wavelength_m / 2)  # the first Fresnel zone: sqrt(wavelength distance / 2)
-        find_crossed(plane, views, evidence, level, spec.evidence, alive, widening, crossed)
-        near = np.zeros(grid.size)  # evidence within one zone, as echoes from behind cross their own
-        draw_surfaces(plane, views._replace(half_m=views.half_m / wide), alive, near, level.copy())
-        crossed *= evidence / np.maximum(near, 1e-9)
-        solid = occupied_percent(evidence, crossed, spec.plane_odds, spec)
+        solid = _solid(plane, (views, alive, widening), wide, (evidence, level), spec)
         likely = shown & (solid >= LIKELY)
         slopes = (sloped & ~false)[owner]
         clearance = _clearance(views, owner)
@@ -112,6 +107,28 @@ def render(
         percent[free] = free_percent(quiet[0, free], spec)
         percent[likely] = solid[likely]
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
+
+
+def _solid(
+    plane: Plane, echoes: tuple[Views, Bools, float], wide: Floats, drawn: tuple[Floats, Floats], spec: LikelihoodSpec
+) -> NDArray[np.int8]:
+    """Chance (cells) that cells hold surface.
+
+    Args:
+        plane: the cells.
+        echoes: views of the surfaces, which of them count, and the half width of their paths as of `find_crossed`.
+        wide: (k) width of what each echo shows, over the first Fresnel zone.
+        drawn: evidence and level (cells) of what they show.
+        spec: parameters.
+    """
+    views, alive, widening = echoes
+    evidence, level = drawn
+    crossed, within = np.zeros((2, len(evidence)))
+    find_crossed(plane, views, evidence, level, spec.evidence, alive, widening, crossed)
+    # echoes from behind cross one zone each, so they weigh against what one zone shows
+    draw_surfaces(plane, views._replace(half_m=views.half_m / wide), alive, within, level.copy())
+    crossed *= evidence / np.maximum(within, 1e-9)
+    return occupied_percent(evidence, crossed, spec.plane_odds, spec)
 
 
 def occupied_percent(evidence: Floats, crossed: Floats, odds: float, spec: LikelihoodSpec) -> NDArray[np.int8]:
