@@ -43,7 +43,7 @@ def test_cube_is_the_pattern():
     for spec in (ul.AntennaSpec(), ul.AntennaSpec(kind="cosine", azimuth_deg=50), ul.AntennaSpec(kind="isotropic")):
         way = RNG.standard_normal((500, 3))
         way /= np.linalg.norm(way, axis=1, keepdims=True)
-        ours = [toward(cube(spec), False, np.eye(3)[None, None], 0, 0, *w) for w in way]
+        ours = [toward(cube(spec)[None].astype(complex), False, np.eye(3)[None, None], 0, 0, *w) for w in way]
         assert np.allclose(ours, gain(spec, way), atol=4e-3)
 
 

@@ -142,15 +142,16 @@ class AntennaSpec(Spec):
     file: str | None = Field(
         None,
         description="table: CSV with azimuth_deg, elevation_deg, gain_dbi; cuts of MSI Planet, .msi or .pln; "
-        "or a far field of CST, .ffs: its gain, without phase, at the frequency nearest to the carrier",
+        "or a far field of CST, .ffs, with phase and polarisation, at all frequencies in the radar's band",
     )
     frequency_hz: float | None = Field(
         None,
         gt=0,
-        description="of a far field's gains; a radar puts its center_hz here; None: the middle one of the file",
+        description="of a far field's gain for processing; a radar puts its center_hz here; None: the middle one",
     )
     polarization: Literal["vertical", "horizontal"] = Field(
-        "vertical", description="electric field along sensor z or y"
+        "vertical",
+        description="electric field along sensor z or y; a far field as it is, or rolled with its z to the left",
     )
     receive_polarization: Literal["vertical", "horizontal"] | None = Field(
         None, description="the same for the receiver; None: as transmitted"

@@ -9,12 +9,13 @@ from ullage.kernels import outlines as kernel
 from ullage.kernels.edges import CutLimits, FaceOutlines
 from ullage.kernels.facets import LitFaces, Transmission
 from ullage.radar import physical, planar
+from ullage.radar.context import radar_context
 
 RADAR = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None).but(
     bins=2000, range_start_m=0.0, prf_div=255
 )
 WAVE = 2 * np.pi * RADAR.center_hz / C0
-READY = physical.radar_context(ul.scenes.plate(width_m=1, height_m=1, distance_m=3, material="pec"), RADAR, edges=False)
+READY = radar_context(ul.scenes.plate(width_m=1, height_m=1, distance_m=3, material="pec"), RADAR, edges=False)
 
 
 def by_rim(size, one, other):

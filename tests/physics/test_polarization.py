@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import ullage as ul
 from ullage.radar import physical
+from ullage.radar.context import radar_context
 from ullage.radar.physical import echoes, path_gain_cw
 from ullage.world.library import WORLDS
 
@@ -121,7 +122,7 @@ def test_exchanged_polarisations_and_turned_worlds_change_no_sample(name, count)
 def test_antennas_of_two_polarisations_exchange_places(world):
     scene = ul.load_scene(WORLDS[world].path)
     spec = radar(V, H, bins=2000, range_start_m=0.0, prf_div=255)
-    ready, middle = physical.radar_context(scene, spec), scene.bounds.mean(0)
+    ready, middle = radar_context(scene, spec), scene.bounds.mean(0)
     for gap in (0.05, 0.5):
         still = physical.antenna_pair(spec, middle, np.eye(3))
         pair = physical.AntennaPair(np.stack([middle, middle + np.array([0, gap, 0])]), still.frames, still.fields)

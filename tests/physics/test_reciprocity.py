@@ -5,6 +5,7 @@ import pytest
 
 import ullage as ul
 from ullage.radar import physical
+from ullage.radar.context import radar_context
 from ullage.radar.multipath import accumulate_bounces, apparent_sizes
 from ullage.world.library import WORLDS
 
@@ -29,7 +30,7 @@ def apart(rng, low, high, distance):
 
 def differ(scene, low, high, bounces, distances, seed=3):
     """Largest difference of any place of the delay grids over the largest of them, places changed."""
-    ready, rng, worst = physical.radar_context(scene, RADAR), np.random.default_rng(seed), 0.0
+    ready, rng, worst = radar_context(scene, RADAR), np.random.default_rng(seed), 0.0
     for distance in distances:
         one, other = apart(rng, low, high, distance)
         grids = np.zeros((2, 3, ready.places), complex)
@@ -66,7 +67,7 @@ def test_worlds_of_balls_wires_edges_and_frames(world):
 def test_two_walls_give_the_wave_of_their_one_image_wherever_the_antennas_are(size):
     """Over a large wall and a small one, in either order, it is lambda / (4 pi L) of the image in both."""
     ready, rng = (
-        physical.radar_context(ul.scenes.room(size, material="pec"), RADAR, edges=False),
+        radar_context(ul.scenes.room(size, material="pec"), RADAR, edges=False),
         np.random.default_rng(4),
     )
     flats, half = ready.world.still.planar, np.array(size) / 2

@@ -8,6 +8,7 @@ import pytest
 import ullage as ul
 from ullage.geometry import rpy_quat
 from ullage.radar import cylinder_correction, physical
+from ullage.radar.context import radar_context
 from ullage.radar.prepared import prepare
 from ullage.world.scene import Scene
 
@@ -93,7 +94,7 @@ def test_strips_with_holes_stay_as_they_are():
 def test_what_is_hidden_adds_nothing():
     tank = ul.scenes.cylinder(3.0, 3.0, 0.0, edge_m=0.1)
     box = ul.scenes.cylinder(0.3, 0.6, 0.0, edge_m=0.01)
-    context = physical.radar_context(Scene.union([tank, box]), SPEC)
+    context = radar_context(Scene.union([tank, box]), SPEC)
     parts, wall = context.world.parts(None), context.world.quadrics[0]
     antennas = physical.antenna_pair(SPEC, np.zeros(3), np.eye(3))
     assert (

@@ -9,6 +9,7 @@ import ullage as ul
 from ullage.geometry import quat_matrix
 from ullage.kernels import pulse
 from ullage.radar import physical
+from ullage.radar.context import radar_context
 from ullage.world.library import WORLDS
 
 HOLD = WORLDS["cargo-hold"].path
@@ -18,7 +19,7 @@ RADAR = ul.RadarSpec.preset("x4m05", noise=None)
 def both(scene, path, *, max_bounces=1):
     """Frames by ends, and with rims cut all along."""
     out = np.zeros((2, len(path), RADAR.bins), complex)
-    context = physical.radar_context(scene, RADAR)
+    context = radar_context(scene, RADAR)
     for whole in (False, True):
         for i in range(len(path)):
             grids = np.zeros((3, context.places), complex)

@@ -9,6 +9,7 @@ from radar_worlds import dished
 import ullage as ul
 from ullage.geometry import C0, rpy_quat
 from ullage.radar import physical, sphere_echoes
+from ullage.radar.context import radar_context
 from ullage.radar.explain import explain
 from ullage.radar.prepared import prepare
 from ullage.world import shapes
@@ -130,7 +131,7 @@ def test_all_facets_of_a_ball_are_done_and_no_others():
 def test_what_stands_before_a_ball_hides_it():
     sphere, box = ul.scenes.sphere(1.0, 0.0, edge_m=0.15), ul.scenes.sphere(0.3, 0.0, edge_m=0.02)
     path = ul.Trajectory.stationary((0.0, 0.0, 0.0), n=1)
-    context = physical.radar_context(Scene.union([sphere, box]), SPEC)
+    context = radar_context(Scene.union([sphere, box]), SPEC)
     antennas = physical.antenna_pair(SPEC, path.position[0], np.eye(3))
     assert (
         sphere_echoes.accumulate_spheres(

@@ -75,7 +75,7 @@ def audible(corners: Corners, antennas: Antennas, wave: float, gate: Floats, lea
             r = max(math.sqrt(x * x + y * y + z * z), 1e-2)
             far += 0.5 * r
             above -= x * corners.normals[c, 0] + y * corners.normals[c, 1] + z * corners.normals[c, 2]
-            level *= toward(antennas.table, antennas.isotropic, antennas.frames, ONE, s, x / r, y / r, z / r) / r
+            level *= abs(toward(antennas.table, antennas.isotropic, antennas.frames, ONE, s, x / r, y / r, z / r)) / r
         if gate[0] <= far <= gate[1] and level > least and (above > 0 or corners.bare[c]):
             out[at] = c
             at += 1
@@ -83,9 +83,9 @@ def audible(corners: Corners, antennas: Antennas, wave: float, gate: Floats, lea
 
 
 @core(fastmath=True, error_model="numpy")
-def _seen(place: Floats, antennas: Antennas, wave: float, rows: Floats) -> float:
+def _seen(place: Floats, antennas: Antennas, wave: float, rows: Floats) -> complex:
     """Antenna gains over ranges at a place; rows get the direction of travel and both fields across it."""
-    g, origins = 1.0, antennas.origins
+    g, origins = 1.0 + 0j, antennas.origins
     for j in range(3):
         rows[TRAVEL, j] = 0.0
     for s in range(2):

@@ -55,14 +55,14 @@ def accumulate_diffuse_scatterers(
     last = start + sums.grids.shape[1] * pulse.step_s
     most = lobes.shape[2] - 1
     origins, points, normals, object_ids = antennas.origins, tiles.points, tiles.normals, tiles.object_ids
-    scale, mono = antennas.factor[0] / (4 * math.pi), same(origins, ONE)
+    scale, mono = antennas.factor[0] / (4 * math.pi), same(antennas, ONE)
     for k in range(len(tiles.first) - 1):
         sums.echo[k], sums.delay_s[k] = 0j, 0.0
         if between.factor[k] == 0:
             continue
         total = 0.0
         for i in range(tiles.first[k], tiles.first[k + 1]):
-            g, path, cosine, share, both = 1.0, 0.0, 0.0, 0.0, 0.0
+            g, path, cosine, share, both = 1.0 + 0j, 0.0, 0.0, 0.0, 0.0
             for s in range(2):
                 dx, dy, dz = (points[i, 0] - origins[0, s, 0], points[i, 1] - origins[0, s, 1],
                               points[i, 2] - origins[0, s, 2])  # fmt: skip

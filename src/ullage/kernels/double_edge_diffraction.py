@@ -72,14 +72,14 @@ def transition(x: float) -> complex:
 
 @core(fastmath=True, error_model="numpy")
 def _graze(
-    p: Floats, w: int, side: int, pairs: EdgePairs, width: float, wave: float, antennas: Antennas, out: Floats
-) -> complex:
-    """Diffraction by one edge of a pair along the face, with antenna gains over ranges.
+    w: int, side: int, pairs: EdgePairs, width: float, wave: float, antennas: Antennas, out: Floats
+) -> tuple[complex, complex, complex]:
+    """Diffraction along the face by one edge of a pair, at `out[2]`; the path length goes to `out[0, side]` [m].
 
-    Row `side` of `out` gets the magnetic field along the edge for both antennas, and the path length [m].
+    The magnetic field along the edge follows, of each antenna with its gain over the range.
     """
-    inward, normals, origins, fields = pairs.inward, pairs.normals, antennas.origins, antennas.fields
-    ux, uy, uz, g, path = 0.0, 0.0, 0.0, 1.0, 0.0
+    inward, normals, origins, fields, p = pairs.inward, pairs.normals, antennas.origins, antennas.fields, out[2]
+    ux, uy, uz, sent, taken, path = 0.0, 0.0, 0.0, 0j, 0j, 0.0
     nx, ny, nz = normals[w, 0], normals[w, 1], normals[w, 2]
     ix, iy, iz = inward[w, side, 0], inward[w, side, 1], inward[w, side, 2]
     tx, ty, tz = iy * nz - iz * ny, iz * nx - ix * nz, ix * ny - iy * nx
@@ -87,15 +87,12 @@ def _graze(
         dx, dy, dz = p[0] - origins[0, s, 0], p[1] - origins[0, s, 1], p[2] - origins[0, s, 2]
         r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
         dx, dy, dz = dx / r, dy / r, dz / r
-        one = math.sqrt(
-            max(toward(antennas.table, antennas.isotropic, antennas.frames, ONE, s, dx, dy, dz), 0.0) * spread(wave, r)
-        )
-        g *= one
+        sent = taken
+        taken = toward(antennas.table, antennas.isotropic, antennas.frames, ONE, s, dx, dy, dz) * spread(wave, r)
         path += 0.5 * r
         ux, uy, uz = ux + dx, uy + dy, uz + dz
-        if s == 0 and same(origins, ONE):
-            g *= one
-            path += 0.5 * r
+        if s == 0 and same(antennas, ONE):
+            sent, path = taken, r
             break
     size = max(math.sqrt(ux * ux + uy * uy + uz * uz), 1e-6)
     ux, uy, uz = ux / size, uy / size, uz / size
@@ -103,9 +100,12 @@ def _graze(
         ex, ey, ez = fields[0, s, 0], fields[0, s, 1], fields[0, s, 2]
         along = ex * ux + ey * uy + ez * uz
         square = max(ex * ex + ey * ey + ez * ez - along * along, 1e-12)
-        hz = (uy * ez - uz * ey) * tx + (uz * ex - ux * ez) * ty + (ux * ey - uy * ex) * tz
-        out[side, s] = hz / math.sqrt(square)
-    out[side, 2] = path
+        hz = ((uy * ez - uz * ey) * tx + (uz * ex - ux * ez) * ty + (ux * ey - uy * ex) * tz) / math.sqrt(square)
+        if s == 0:
+            sent *= hz
+        else:
+            taken *= hz
+    out[0, side] = path
     sx = -(ux * ix + uy * iy + uz * iz)
     sy = -(ux * nx + uy * ny + uz * nz)
     phi = math.atan2(sy, sx)
@@ -113,13 +113,27 @@ def _graze(
         phi += 2 * math.pi
     n = pairs.angles[w, side]
     if phi >= n * math.pi:
-        return 0j
+        return 0j, sent, taken
     half = math.cos(0.5 * phi)
     if abs(half) < 1e-4:
         half = 1e-4
         phi = math.pi - 2e-4
     d = 2 * math.sin(math.pi / n) / (n * (math.cos(math.pi / n) - math.cos(phi / n)))
-    return g * d * transition(2 * wave * width * half * half)
+    return d * transition(2 * wave * width * half * half), sent, taken
+
+
+@core(fastmath=True, error_model="numpy")
+def _across(w: int, pairs: EdgePairs, width: float, wave: float, antennas: Antennas, out: Floats) -> complex:
+    """Diffraction by both edges of a pair, the first at `out[2]`, times fields; `out[0]` gets both path lengths [m].
+
+    The wave of each antenna meets either edge first.
+    """
+    one, sent, taken = _graze(w, 0, pairs, width, wave, antennas, out)
+    for j in range(3):
+        out[2, j] += pairs.gaps[w, j]
+    other, passed, met = _graze(w, 1, pairs, width, wave, antennas, out)
+    # the second edge runs the other way in its own face's frame
+    return -0.5 * (sent * met + taken * passed) * one * other * complex(math.sqrt(0.5), -math.sqrt(0.5))
 
 
 @core(fastmath=True, error_model="numpy")
@@ -127,17 +141,13 @@ def _twice(
     pieces: PairPieces, k: int, end: int, pairs: EdgePairs, width: float, wave: float, antennas: Antennas, out: Floats
 ) -> tuple[complex, float]:
     """Strength per length of the wave that crosses the face from edge to edge, and path length [m]."""
-    product, w = 1.0 + 0j, pieces.pair[k]
-    for side in range(2):
-        for j in range(3):
-            out[2, j] = pieces.ends[k, end, j] + (pairs.gaps[w, j] if side == 1 else 0.0)
-        product *= _graze(out[2], w, side, pairs, width, wave, antennas, out)
-    # the second edge runs the other way in its own face's frame
-    both = -0.5 * (out[0, 0] * out[1, 1] + out[0, 1] * out[1, 0])
-    path = out[0, 2] + out[1, 2]
+    w = pieces.pair[k]
+    for j in range(3):
+        out[2, j] = pieces.ends[k, end, j]
+    both = _across(w, pairs, width, wave, antennas, out)
+    path = out[0, 0] + out[0, 1]
     spread = 1 / math.sqrt(2 * math.pi * wave * width * (1 + width / path))
-    faces = 2.0 if pairs.transmissive[w] else 1.0
-    value = -faces * both * spread * product * complex(math.sqrt(0.5), -math.sqrt(0.5))
+    value = -(2.0 if pairs.transmissive[w] else 1.0) * both * spread
     return value, path + width
 
 
@@ -229,18 +239,15 @@ def _turned_strength(
     pieces: PairPieces, k: int, pairs: EdgePairs, width: float, run: float, wave: float, antennas: Antennas, out: Floats
 ) -> complex:
     """Strength per length of the wave that crosses obliquely, as if the turn returned all of it."""
-    product, w = 1.0 + 0j, pieces.pair[k]
-    sine = width / math.sqrt(width * width + run * run)
-    for side in range(2):
-        for j in range(3):
-            out[2, j] = 0.5 * (pieces.ends[k, 0, j] + pieces.ends[k, 1, j]) + (pairs.gaps[w, j] if side == 1 else 0.0)
-        product *= _graze(out[2], w, side, pairs, width * sine, wave, antennas, out)
-    both = -0.5 * (out[0, 0] * out[1, 1] + out[0, 1] * out[1, 0])
+    w, sine = pieces.pair[k], width / math.sqrt(width * width + run * run)
+    for j in range(3):
+        out[2, j] = 0.5 * (pieces.ends[k, 0, j] + pieces.ends[k, 1, j])
+    both = _across(w, pairs, width * sine, wave, antennas, out)
     crossing = width / sine
-    spreading = 1 / math.sqrt(2 * math.pi * wave * width * (1 + crossing / (out[0, 2] + out[1, 2])))
+    spreading = 1 / math.sqrt(2 * math.pi * wave * width * (1 + crossing / (out[0, 0] + out[0, 1])))
     # the stationary crossing and both diffractions at oblique incidence
     oblique = 1 / (sine * sine * math.sqrt(sine))
-    return -2 * both * spreading * oblique * product * complex(math.sqrt(0.5), -math.sqrt(0.5))
+    return -2 * both * spreading * oblique
 
 
 @core(fastmath=True, error_model="numpy")

@@ -161,12 +161,12 @@ def face(
 @core(fastmath=True, error_model="numpy")
 def strength(
     places: Floats, k: int, end: int, w: int, wedges: Wedges, wave: float, antennas: Antennas, rows: Floats
-) -> tuple[float, float, float]:
+) -> tuple[complex, float, float]:
     """Antenna gains over ranges times the strength of edge w at places[k, end].
 
     The length of the path there [m] and its bend along the edge [1/m] follow.
     """
-    g, path, bend = 1.0, 0.0, 0.0
+    g, path, bend = 1.0 + 0j, 0.0, 0.0
     inward, normals, transmissive = wedges.inward, wedges.normals, wedges.transmissive
     origins, fields = antennas.origins, antennas.fields
     ix, iy, iz = inward[w, 0, 0], inward[w, 0, 1], inward[w, 0, 2]
@@ -182,13 +182,13 @@ def strength(
         along = tx * dx + ty * dy + tz * dz
         g, path, bend = g * one, path + r, bend + (1 - along * along) / r
         rows[0, 0], rows[0, 1], rows[0, 2] = rows[0, 0] + dx, rows[0, 1] + dy, rows[0, 2] + dz
-        if s == 0 and same(origins, ONE):
+        if s == 0 and same(antennas, ONE):
             g, path, bend = g * one, 2 * path, 2 * bend
             break
     ux, uy, uz = rows[0, 0], rows[0, 1], rows[0, 2]
     size = math.sqrt(ux * ux + uy * uy + uz * uz)
     if size < 1e-6:
-        return 0.0, path, bend
+        return 0j, path, bend
     for j in range(3):
         rows[0, j] /= size
     for s in range(2):
@@ -201,7 +201,7 @@ def strength(
             rows[1 + s, j] /= math.sqrt(max(square, 1e-12))
     # the rim of a thin body: only its wide face, from the side it looks to, front and back
     if transmissive[w] and ux * nx + uy * ny + uz * nz >= 0:
-        return 0.0, path, bend
+        return 0j, path, bend
     total, orders = 0.0, 1 if alike(fields, ONE) else 2
     for order in range(orders):
         for i in range(2):
@@ -217,7 +217,7 @@ def strength(
 def _best_seen(
     start: Floats, near: float, size: float, t: Floats, across: bool, antennas: Antennas
 ) -> tuple[float, float]:
-    """Largest gain of the antenna, and largest field across an edge, at both ends of it and `near` along it [m]."""
+    """Largest two-way gain, and largest field across an edge, at both ends of it and `near` along it [m]."""
     origins, fields = antennas.origins, antennas.fields
     ex, ey, ez = fields[0, 0, 0], fields[0, 0, 1], fields[0, 0, 2]
     gain, most = 0.0, 0.0
@@ -229,7 +229,11 @@ def _best_seen(
         if across:
             hard = (y * ez - z * ey) * t[0] + (z * ex - x * ez) * t[1] + (x * ey - y * ex) * t[2]
             most = max(most, abs(hard) / r)
-        gain = max(gain, toward(antennas.table, antennas.isotropic, antennas.frames, ONE, ONE, x / r, y / r, z / r))
+        one = toward(antennas.table, antennas.isotropic, antennas.frames, ONE, FROM, x / r, y / r, z / r)
+        other = one
+        if len(antennas.table) > 1:
+            other = toward(antennas.table, antennas.isotropic, antennas.frames, ONE, TO, x / r, y / r, z / r)
+        gain = max(gain, abs(one * other))
     return gain, most
 
 
@@ -279,7 +283,7 @@ def audible(
         beside = abs(foot - near)
         if beside > 0:
             reach = min(reach, best / (wave * beside))
-        strong = gain * gain / (best * best) * min(size, reach) / (4 * math.pi * wave)
+        strong = gain / (best * best) * min(size, reach) / (4 * math.pi * wave)
         if across:
             x, y, z = starts[w, 0] - origins[0, 0, 0], starts[w, 1] - origins[0, 0, 1], starts[w, 2] - origins[0, 0, 2]
             along = ex * x + ey * y + ez * z
@@ -314,7 +318,7 @@ def accumulate_edge_diffraction(
     """
     pieces, tips, owner, omega = edges.pieces, edges.tips, edges.owner, pulse.omega
     many, wave = len(pieces), omega / C0
-    known, w0, path0, bend0 = -2, 0.0, 0.0, 0.0
+    known, w0, path0, bend0 = -2, 0j, 0.0, 0.0
     for k in range(len(owner)):
         sums.echo[k], sums.delay_s[k] = 0j, 0.0
         if between.factor[k] == 0:

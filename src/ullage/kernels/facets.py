@@ -31,8 +31,8 @@ class Antennas(NamedTuple):
     origins: Floats  # (w, 2, 3) transmitter and receiver of each radar [m]
     frames: Floats  # (w, 2, 3, 3) sensor_from_world rotations of both, with mirrors
     fields: Floats  # (w, 2, 3) unit electric fields in the world
-    table: Floats  # (6, n, n) one-way amplitude gains on a cube of directions in the sensor's frame
-    isotropic: bool  # whether the gain is table[0, 0, 0] in all directions
+    table: Complexes  # (1 or 2, 6, n, n) of both, or each: one-way amplitude gains on a cube in the sensor's frame
+    isotropic: bool  # whether the gain is table[0, 0, 0, 0] in all directions
     factor: Complexes  # (w) multiplies every echo
 
 
@@ -105,7 +105,7 @@ class CornerScratch(NamedTuple):
 
     phase: Floats  # (3) carrier phase delay [rad]
     place: Floats  # (3) delay [grid steps]
-    base: Floats  # (3) antenna gains over ranges
+    base: Complexes  # (3) antenna gains over ranges
     cosine: Floats  # (3) cos(incidence)
     path: Floats  # (3) path length there and back [m]
     weight: Complexes  # (3) complex amplitude
@@ -215,13 +215,14 @@ def _halve(stack: Floats, top: int, edge: int) -> None:
 
 
 @lean(fastmath=True, error_model="numpy")
-def toward(table: Floats, flat: bool, frames: Floats, o: int, s: int, ux: float, uy: float, uz: float) -> float:
-    """One-way amplitude gain along u in the world, for a sensor_from_world rotation frames[o, s].
+def toward(table: Complexes, flat: bool, frames: Floats, o: int, s: int, ux: float, uy: float, uz: float) -> complex:
+    """One-way amplitude gain of antenna s along u in the world, for a sensor_from_world rotation frames[o, s].
 
-    From a (6, m, m) cube of directions in the sensor's frame; where `flat`, the same everywhere.
+    From `Antennas.table`; where `flat`, the same everywhere.
     """
+    t = s if len(table) > 1 else 0
     if flat:
-        return table[0, 0, 0]
+        return table[t, 0, 0, 0]
     x = frames[o, s, 0, 0] * ux + frames[o, s, 0, 1] * uy + frames[o, s, 0, 2] * uz
     y = frames[o, s, 1, 0] * ux + frames[o, s, 1, 1] * uy + frames[o, s, 1, 2] * uz
     z = frames[o, s, 2, 0] * ux + frames[o, s, 2, 1] * uy + frames[o, s, 2, 2] * uz
@@ -232,20 +233,21 @@ def toward(table: Floats, flat: bool, frames: Floats, o: int, s: int, ux: float,
         face, a, b, m = (2 if y > 0 else 3), x, z, ay
     else:
         face, a, b, m = (4 if z > 0 else 5), x, y, az
-    n = table.shape[1] - 1
+    n = table.shape[2] - 1
     scale = 0.5 * n / max(m, 1e-300)
     u, v = min(max(a * scale + 0.5 * n, 0.0), n - 1e-9), min(max(b * scale + 0.5 * n, 0.0), n - 1e-9)
     i, j = int(u), int(v)
     u, v = u - i, v - j
-    low = table[face, i, j] * (1 - v) + table[face, i, j + 1] * v
-    high = table[face, i + 1, j] * (1 - v) + table[face, i + 1, j + 1] * v
+    low = table[t, face, i, j] * (1 - v) + table[t, face, i, j + 1] * v
+    high = table[t, face, i + 1, j] * (1 - v) + table[t, face, i + 1, j + 1] * v
     return low * (1 - u) + high * u
 
 
 @core(fastmath=True, error_model="numpy")
-def same(origins: Floats, o: int) -> bool:
-    """Whether transmitter and receiver of a radar stand at one place."""
-    return (origins[o, 0, 0] == origins[o, 1, 0] and origins[o, 0, 1] == origins[o, 1, 1]
+def same(antennas: Antennas, o: int) -> bool:
+    """Whether transmitter and receiver of a radar stand at one place and have one pattern."""
+    origins = antennas.origins
+    return (len(antennas.table) == 1 and origins[o, 0, 0] == origins[o, 1, 0] and origins[o, 0, 1] == origins[o, 1, 1]
             and origins[o, 0, 2] == origins[o, 1, 2])  # fmt: skip
 
 
@@ -429,7 +431,7 @@ def _corners(
         both fields as of `te_share`.
     """
     origins, base, cosine, tau = antennas.origins, scratch.base, scratch.cosine, scratch.path
-    mono = same(origins, o)
+    mono = same(antennas, o)
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
     bulge, share, both, samples = 0.0, 0.0, 0.0, 1 if alike(antennas.fields, o) else 3
     weight = (1.0 if mono else 0.5) / samples

@@ -34,7 +34,7 @@ class EchoBounds(NamedTuple):
 
     gate_m: float  # greatest mean range [m]
     wave: float  # wave number [1/m]
-    table: Floats  # as in `facets.Antennas`
+    table: Floats  # magnitudes of that of `facets.Antennas`
     isotropic: bool  # as in `facets.Antennas`
     most: Floats  # (s, c) the larger reflection coefficient of each material over cos(incidence)
     materials: Ints  # (p) row of each face in that table

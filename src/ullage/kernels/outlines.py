@@ -114,7 +114,7 @@ def _weight(rows: Floats, k: int, at: int, lit: LitFaces, face: int, tap: int) -
     normals, antennas, origins = lit.normals, lit.antennas, lit.antennas.origins
     o = face if len(origins) > 1 else 0
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
-    gain, cosine, share, both = 1.0, 0.0, 0.0, 0.0
+    gain, cosine, share, both = 1.0 + 0j, 0.0, 0.0, 0.0
     for s in range(2):
         dx, dy, dz = (
             rows[k, at] - origins[o, s, 0],
@@ -128,7 +128,7 @@ def _weight(rows: Floats, k: int, at: int, lit: LitFaces, face: int, tap: int) -
         one = toward(antennas.table, antennas.isotropic, antennas.frames, o, s, ux, uy, uz)
         gain *= one
         cosine += 0.5 * abs(ux * nx + uy * ny + uz * nz)
-        if s == 0 and same(origins, o):
+        if s == 0 and same(antennas, o):
             gain *= one
             cosine *= 2
             share, both = te, whole

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels.bounces import first_leg
-from ullage.kernels.facets import Antennas, toward
+from ullage.kernels.facets import FROM, ONE, TO, Antennas, toward
 from ullage.kernels.loops import core, lean
 
 
@@ -100,9 +100,9 @@ def strengths(
             taken[k] = (lit[k] - ends.receiver[k]) / max(back, 1e-12)
             along -= across[p, 0, k] * taken[k]
             aside -= across[p, 1, k] * taken[k]
-        gain = toward(antennas.table, antennas.isotropic, antennas.frames, 0, 0, sent[0], sent[1], sent[2])
-        gain *= toward(antennas.table, antennas.isotropic, antennas.frames, 0, 1, taken[0], taken[1], taken[2])
-        level[i] = abs(factor[i]) * gain / (2 * wave * (there + back))
+        gain = toward(antennas.table, antennas.isotropic, antennas.frames, ONE, FROM, sent[0], sent[1], sent[2])
+        gain *= toward(antennas.table, antennas.isotropic, antennas.frames, ONE, TO, taken[0], taken[1], taken[2])
+        level[i] = abs(factor[i] * gain) / (2 * wave * (there + back))
         slant = math.sqrt(max(1 - along * along - aside * aside, 0.01))
         reach = math.sqrt(2 / wave / (1 / there + 1 / back))
         size = math.sqrt(along * along + aside * aside)

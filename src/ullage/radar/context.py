@@ -1,5 +1,8 @@
 """What the frames of one radar in one scene share: pulse, tables, gates, the pair of antennas, and how pieces are cut.
 
+Antennas whose fields are known are sums of patterns of one polarisation each; each pair of these has its own context,
+and frames are their sums.
+
 Every mechanism of `radar.physical` takes this context and knows none of the other mechanisms' callers.
 """
 
@@ -11,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ullage.antenna import cube
+from ullage.antenna import PatternPair, pattern_pairs
 from ullage.arrays import Bools, Complexes, Floats, Ints
 from ullage.data import Trajectory
 from ullage.geometry import C0
@@ -57,6 +60,7 @@ class AntennaPair:
     frames: Floats  # (2, 3, 3) sensor_from_world
     fields: Floats  # (2, 3) unit electric fields in the world
     factor: complex = 1.0 + 0j  # of every echo
+    patterns: tuple[int, int] = (0, 0)  # which of the context's patterns each has
 
     @property
     def monostatic(self) -> bool:
@@ -71,12 +75,12 @@ class AntennaPair:
     @property
     def reversible(self) -> bool:
         """Whether a path and its reverse carry the same wave."""
-        return self.monostatic and self.alike
+        return self.monostatic and self.alike and self.patterns[0] == self.patterns[1]
 
     def swapped(self) -> AntennaPair:
         """Return the radar that sends from this one's receiver."""
         origins, frames, fields = (np.ascontiguousarray(row[::-1]) for row in (self.origins, self.frames, self.fields))
-        return AntennaPair(origins, frames, fields, self.factor)
+        return AntennaPair(origins, frames, fields, self.factor, self.patterns[::-1])
 
     @property
     def aside(self) -> Floats:
@@ -91,7 +95,8 @@ class RadarContext:
     world: Prepared
     spec: RadarSpec
     pulse: Pulse
-    table: Floats
+    patterns: PatternPair
+    magnitudes: Floats  # of its table
     gamma: Complexes  # echoes of each material; the last row reflects 1
     lag: Floats  # their delays [s]
     bounce: Complexes  # what goes on to other surfaces
@@ -117,6 +122,16 @@ class RadarContext:
         """Return the poses of all objects (n, o, 4, 4) along a sensor's path (n); None for each where nothing moves."""
         poses = self.world.poses(path.t_ns)
         return poses if isinstance(poses, list) else carried(poses, self.world.own, path, self.spec)
+
+    @property
+    def carrier(self) -> complex:
+        """Transfer of both antennas at the carrier."""
+        return self.patterns.carrier(self.spec.center_hz)
+
+    @property
+    def loudest(self) -> float:
+        """Largest two-way amplitude gain."""
+        return float(self.magnitudes[0].max() * self.magnitudes[-1].max())
 
     @property
     def reflection(self) -> Reflection:
@@ -160,48 +175,44 @@ def _pulse_grid(context: RadarContext) -> PulseGrid:
 
 @lru_cache(maxsize=32)
 def _antennas(context: RadarContext, pair: AntennaPair) -> Antennas:
-    return Antennas(pair.origins[None], pair.frames[None], pair.fields[None], context.table,
+    table = context.patterns.swapped() if pair.patterns[0] > pair.patterns[1] else context.patterns.table
+    return Antennas(pair.origins[None], pair.frames[None], pair.fields[None], table,
                     context.spec.antenna.kind == "isotropic", np.array([pair.factor], complex))  # fmt: skip
 
 
-def radar_context(scene: Scene, spec: RadarSpec, *, seed: int = 0, edges: bool = True) -> RadarContext:
-    """Pulse, tables and gates of one radar in one scene; without `edges` plain physical optics.
+def radar_contexts(scene: Scene, spec: RadarSpec, *, seed: int = 0, edges: bool = True) -> tuple[RadarContext, ...]:
+    """Pulse, tables and gates of each pair of patterns of a radar in one scene; without `edges` plain physical optics.
 
     Raises:
-        InputError: the pulse is wider than the frame, or a material has no data at the carrier.
+        InputError: the pulse is wider than the frame, a material has no data at the carrier, or a table of an antenna
+            cannot be read.
     """
     return _bench(prepare(scene), spec, seed, edges)
 
 
+def radar_context(scene: Scene, spec: RadarSpec, *, seed: int = 0, edges: bool = True) -> RadarContext:
+    """Return the first of `radar_contexts`, which is the only one of antennas without a far field."""
+    return radar_contexts(scene, spec, seed=seed, edges=edges)[0]
+
+
 @lru_cache(maxsize=32)  # tracks come in pieces; several radars, each of one or two pulse intervals
-def _bench(world: Prepared, spec: RadarSpec, seed: int, edges: bool) -> RadarContext:
-    pulse = tabulate(spec)
-    pad = pulse.half + 4
-    places = 2 * pad + (spec.bins - 1) * pulse.every + 1
-    first = spec.range_start_m - pad * pulse.step_s * C0 / 2
+def _bench(world: Prepared, spec: RadarSpec, seed: int, edges: bool) -> tuple[RadarContext, ...]:
     gamma, lag, bounce = reflection_tables(world.materials, spec)
     gamma, bounce = np.concatenate([gamma, _plain(gamma)]), np.concatenate([bounce, _plain(bounce)])
     lag = np.concatenate([lag, np.where(np.arange(lag.shape[1])[None, :, None] == 0, 0.0, -np.ones_like(lag[:1]))])
-    last = spec.range_start_m + (spec.bins - 1) * spec.bin_m + pulse.half_m
+    lines = strung(world.scene, spec.center_hz)
     outlines = outlines_of(world.edges if edges else nowhere(), spec.wavelength_m)
-    return RadarContext(
-        world,
-        spec,
-        pulse,
-        cube(spec.antenna),
-        gamma,
-        lag,
-        bounce,
-        strung(world.scene, spec.center_hz),
-        outlines,
-        transmissive_of(world.materials, spec),
-        first,
-        places,
-        pad,
-        (0.0, last),
-        seed,
-        not edges,
-    )
+    transmissive = transmissive_of(world.materials, spec)
+    out, last = [], spec.range_start_m + (spec.bins - 1) * spec.bin_m
+    for patterns in pattern_pairs(spec):
+        pulse = tabulate(spec, patterns)
+        pad = pulse.half + 4
+        places = 2 * pad + (spec.bins - 1) * pulse.every + 1
+        first = spec.range_start_m - pad * pulse.step_s * C0 / 2
+        out.append(RadarContext(world, spec, pulse, patterns, np.abs(patterns.table), gamma, lag, bounce, lines,
+                                outlines, transmissive, first, places, pad, (0.0, last + pulse.half_m), seed,
+                                not edges))  # fmt: skip
+    return tuple(out)
 
 
 def _plain(gamma: Complexes) -> Complexes:
@@ -211,20 +222,20 @@ def _plain(gamma: Complexes) -> Complexes:
     return out
 
 
-def antenna_pair(spec: RadarSpec, position: Floats, turn: Floats) -> AntennaPair:
-    """The radar at a position (3) [m] with world_from_sensor rotation (3, 3)."""
+def antenna_pair(spec: RadarSpec, position: Floats, turn: Floats, patterns: PatternPair | None = None) -> AntennaPair:
+    """The radar at a position (3) [m], world_from_sensor rotation (3, 3), with a pair of patterns (None: the first)."""
     arm = turn[:, 1] * (spec.antenna_offset_m / 2)
-    kinds = spec.antenna.polarization, spec.antenna.receive_polarization or spec.antenna.polarization
-    fields = np.array([turn[:, 2] if kind == "vertical" else turn[:, 1] for kind in kinds])
-    return AntennaPair(np.array([position + arm, position - arm]), np.array([turn.T, turn.T], order="C"), fields)
+    pair = patterns or pattern_pairs(spec)[0]
+    return AntennaPair(np.array([position + arm, position - arm]), np.array([turn.T, turn.T], order="C"),
+                       pair.axes @ turn.T, patterns=(0, len(pair.table) - 1))  # fmt: skip
 
 
 def accumulate_triangles(
     context: RadarContext, pieces: TrianglePieces, lit: LitFaces, between: Transmission, grids: Complexes
 ) -> EchoSet:
     """Add the echoes of pieces (m) of triangles, as `triangles` gives them, to the delay grids (3, g)."""
-    phase, place, base, cosine, path = np.empty((5, 3))
-    scratch = kernel.CornerScratch(phase, place, base, cosine, path, np.empty(3, complex))
+    (phase, place, cosine, path), (base, weight) = np.empty((4, 3)), np.empty((2, 3), complex)
+    scratch = kernel.CornerScratch(phase, place, base, cosine, path, weight)
 
     def put(between: Transmission, sums: EchoSums) -> None:
         kernel.accumulate(pieces, lit, between, context.pulse_grid, sums, scratch)

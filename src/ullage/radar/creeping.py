@@ -14,9 +14,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from ullage.antenna import gain
 from ullage.arrays import Complexes, Floats
 from ullage.geometry import C0
+from ullage.kernels.facets import ONE, toward
 from ullage.radar.context import AntennaPair, RadarContext, transmission_to
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
@@ -115,7 +115,7 @@ def _bare(context: RadarContext, object_id: int) -> bool:
     return smoothed(context, object_id) and not material.layers and not material.roughness_m
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=256)  # a far field has a hundred contexts
 def _impulses_of(context: RadarContext) -> dict[int, Impulses]:
     """Return the impulses of the balls for which the series holds, by their numbers."""
     objects = context.world.scene.objects
@@ -141,15 +141,16 @@ def accumulate_creeping(
     if not len(seen):
         return []
     centres, radii, away, rows = centres[seen], radii[seen], away[:, seen], [rows[k] for k in seen]
-    toward = (centres - antennas.origins[:, None]) / away[..., None]
-    spots = centres - (radii + PULL_M)[:, None] * toward.mean(0)
+    paths = (centres - antennas.origins[:, None]) / away[..., None]
+    spots = centres - (radii + PULL_M)[:, None] * paths.mean(0)
     between = transmission_to(context, parts, antennas, spots)
     factor = antennas.factor * between.factor
-    for direction, frame in zip(toward, antennas.frames, strict=True):
-        factor = factor * gain(context.spec.antenna, direction @ frame.T)
+    radar = context.antennas(antennas)
+    for s in range(2):
+        factor = factor * [toward(radar.table, radar.isotropic, radar.frames, ONE, s, *u) for u in paths[s]]
     if not antennas.alike:  # a ball returns the polarisation that it meets
         sent, received = (
-            across(np.broadcast_to(field, u.shape), u) for field, u in zip(antennas.fields, toward, strict=True)
+            across(np.broadcast_to(field, u.shape), u) for field, u in zip(antennas.fields, paths, strict=True)
         )
         factor = factor * dot(sent, received)
     every = list(known.values())
@@ -172,7 +173,7 @@ def accumulate_creeping(
     return [EchoSet(object_ids, spots, total, middle - 2 * radii / C0, again)]
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=256)
 def rods(context: RadarContext) -> Lines:
     """Return the whole cylinders as lines of what physical optics leaves out on them."""
     walls = [wall for wall in context.world.rods if _bare(context, wall.object_id)]

@@ -207,7 +207,7 @@ def met(
     """Those of some faces that ways meet within the gate, but for what is too faint."""
     size, inside = min(len(paths) * len(smooth), 8192), backs.inside(paths.images[:1, :, 0].reshape(-1, 3))
     turned, outlined = lit.FaceSides(backs.outward, inside), face_outlines(planar)
-    bounds = lit.EchoBounds(context.gate[1], context.pulse.omega / C0, context.table,
+    bounds = lit.EchoBounds(context.gate[1], context.pulse.omega / C0, context.magnitudes,
                             context.spec.antenna.kind == "isotropic", _most(context), planar.object_ids)  # fmt: skip
     scratch = lit.BoundScratch(np.empty((3, 3)), np.empty((3, 3)), np.empty(6))
     while True:

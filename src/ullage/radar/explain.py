@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from ullage.data import Frames, Samples, Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels import pulse as pulses
-from ullage.radar.context import RadarContext, antenna_pair, radar_context
+from ullage.radar.context import RadarContext, antenna_pair, radar_contexts
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.own_body import with_body
 from ullage.radar.physical import accumulate, passive, radio
@@ -144,15 +144,24 @@ def contributions(
     count: int | None = None,
 ) -> list[Contribution]:
     """List the contributions at the sensor's one pose, strongest first: all of them, or the first `count`."""
-    context = radar_context(scene, spec, seed=seed)
-    grids = np.zeros((3, context.places), complex)
-    antennas = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
-    echoes = accumulate(context, antennas, context.poses(pose)[0], max_bounces, grids)
-    rows = _rows(echoes)
+    contexts, turn = radar_contexts(scene, spec, seed=seed), quat_matrix(pose.quat_xyzw)[0]
+    poses, frame, total = contexts[0].poses(pose)[0], [], np.zeros(spec.bins, complex)
+    for context in contexts:
+        grids = np.zeros((3, context.places), complex)
+        antennas = antenna_pair(spec, pose.position[0], turn, context.patterns)
+        frame.append(_Accumulated(context, accumulate(context, antennas, poses, max_bounces, grids)))
+        _add_range_bins(context, grids, total)
+    rows = _rows([replace(part, echo=part.echo * one.context.carrier) for one in frame for part in one.echoes])
     found = _alike(spec, list(_clusters(rows)))
-    strongest = sorted(found, key=lambda c: -np.abs(c.total) * _landing(context, c)[2])[:count]
-    whole = passive(_range_bins(context, grids))
-    return [_contribution(context, scene, rows, echoes, one, whole) for one in strongest]
+    strongest = sorted(found, key=lambda c: -np.abs(c.total) * _landing(contexts[0], c)[2])[:count]
+    return [_contribution(frame, scene, rows, one, passive(total)) for one in strongest]
+
+
+class _Accumulated(NamedTuple):
+    """Echoes of one pair of patterns."""
+
+    context: RadarContext
+    echoes: list[EchoSet]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -344,36 +353,37 @@ def _landing(context: RadarContext, one: _Cluster) -> tuple[float, float, float]
     return at, float(np.angle(np.exp(1j * phase))), float(left) if beyond else 1.0
 
 
-def _contribution(
-    context: RadarContext, scene: Scene, rows: _Rows, echoes: list[EchoSet], one: _Cluster, whole: float
-) -> Contribution:
+def _contribution(frame: list[_Accumulated], scene: Scene, rows: _Rows, one: _Cluster, whole: float) -> Contribution:
     """Describe a cluster, whose samples keep the share `whole` of its echoes."""
     names, here = [scene.objects[k].name for k in one.chain], one.scatterer
-    at, phase, left = _landing(context, one)
+    at, phase, left = _landing(frame[0].context, one)
     x, y, z = (float(v) for v in one.point)
     level = float(20 * np.log10(max(abs(one.total) * left * whole, 1e-30)))
     return Contribution(names[here], len(names), one.delay_s, one.delay_s * C0 / 2, level, (x, y, z), phase,
                         tuple(names[:here]), tuple(names[here + 1 :]), at * C0 / 2,
-                        _samples(context, echoes, rows, one, whole))  # fmt: skip
+                        _samples(frame, rows, one, whole))  # fmt: skip
 
 
-def _samples(context: RadarContext, echoes: list[EchoSet], rows: _Rows, one: _Cluster, whole: float) -> Samples:
+def _samples(frame: list[_Accumulated], rows: _Rows, one: _Cluster, whole: float) -> Samples:
     """Compute what a cluster adds to a frame (b), from its echoes alone."""
-    grids = np.zeros((3, context.places), complex)
-    shares = np.zeros(sum(len(part.echo) for part in echoes), complex)
+    spec, first = frame[0].context.spec, 0
+    shares, out = (
+        np.zeros(sum(len(part.echo) for each in frame for part in each.echoes), complex),
+        np.zeros(spec.bins, complex),
+    )
     np.add.at(shares, rows.at[one.rows], one.shares)
-    first = 0
-    for part in echoes:
-        mine = shares[first : first + len(part.echo)]
-        first += len(part.echo)
-        if mine.any():
-            part.again(mine, grids)
-    out = _range_bins(context, grids) * whole
-    return radio(out[None], context.spec)[0] if context.spec.output == "rf" else out.astype(np.complex64)
+    for context, echoes in frame:
+        grids = np.zeros((3, context.places), complex)
+        for part in echoes:
+            mine = shares[first : first + len(part.echo)]
+            first += len(part.echo)
+            if mine.any():
+                part.again(mine, grids)
+        _add_range_bins(context, grids, out)
+    out *= whole
+    return radio(out[None], spec)[0] if spec.output == "rf" else out.astype(np.complex64)
 
 
-def _range_bins(context: RadarContext, grids: Complexes) -> Complexes:
-    """Convolve delay grids with the pulse to range bins (b)."""
-    out = np.zeros(context.spec.bins, complex)
+def _add_range_bins(context: RadarContext, grids: Complexes, out: Complexes) -> None:
+    """Convolve delay grids with the pulse, and add them to range bins (b)."""
     pulses.convolve(grids, context.pulse.taps, context.pulse.every, context.shift, out)
-    return out

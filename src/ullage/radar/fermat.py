@@ -116,7 +116,7 @@ def _echoes_of(
     """Add the echoes over chains (n) that are strong enough."""
     least, wavelength = faint * float(abs(grids).max()), context.spec.wavelength_m
     full = wavelength / (4 * np.pi) * antennas.factor
-    limits = kernel.Limits(2 * context.gate[1], least / (abs(full) * float(context.table.max()) ** 2))
+    limits = kernel.Limits(2 * context.gate[1], least / (abs(full) * context.loudest))
     some = np.empty(len(chains.rows), np.int64)
     some = some[: kernel.may_be_strong(met.surfaces, chains, limits, some)]
     rows, counts = chains.rows[some], chains.counts[some]

@@ -31,7 +31,7 @@ from ullage.radar.context import (
     accumulate_triangles,
     antenna_pair,
     grown,
-    radar_context,
+    radar_contexts,
     transmission_to,
     triangles,
 )
@@ -72,13 +72,15 @@ def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int 
         InputError: the pulse is wider than the frame, or a material has no data at the carrier.
     """
     checks.whole("max_bounces", max_bounces, "echoes", low=1, high=MOST_BOUNCES)
-    context = radar_context(scene, spec, seed=seed)
-    turns, poses = quat_matrix(path.quat_xyzw), context.poses(path)
+    contexts = radar_contexts(scene, spec, seed=seed)
+    turns, poses = quat_matrix(path.quat_xyzw), contexts[0].poses(path)
     out = np.zeros((len(path), spec.bins), complex)
     for i in range(len(path)):
-        grids = np.zeros((3, context.places), complex)
-        accumulate(context, antenna_pair(spec, path.position[i], turns[i]), poses[i], max_bounces, grids)
-        pulses.convolve(grids, context.pulse.taps, context.pulse.every, context.shift, out[i])
+        for context in contexts:
+            grids = np.zeros((3, context.places), complex)
+            antennas = antenna_pair(spec, path.position[i], turns[i], context.patterns)
+            accumulate(context, antennas, poses[i], max_bounces, grids)
+            pulses.convolve(grids, context.pulse.taps, context.pulse.every, context.shift, out[i])
         out[i] *= passive(out[i])
     if spec.output == "rf":
         return radio(out, spec)
@@ -234,12 +236,14 @@ def path_gain_cw(
         max_bounces: 1 to 6.
         edges: whether edges and creeping waves are added; without, the plain integral of physical optics.
     """
-    context = radar_context(scene, _carrier_only(spec, frequency_hz or spec.center_hz), edges=edges)
-    turns, poses = quat_matrix(pose.quat_xyzw), context.poses(pose)
+    contexts = radar_contexts(scene, _carrier_only(spec, frequency_hz or spec.center_hz), edges=edges)
+    turns, poses = quat_matrix(pose.quat_xyzw), contexts[0].poses(pose)
     out = np.zeros(len(pose), complex)
     for i in range(len(pose)):
-        grids = np.zeros((3, context.places), complex)
-        accumulate(context, antenna_pair(spec, pose.position[i], turns[i]), poses[i], max_bounces, grids)
-        out[i] = grids.sum()
+        for context in contexts:
+            grids = np.zeros((3, context.places), complex)
+            antennas = antenna_pair(spec, pose.position[i], turns[i], context.patterns)
+            accumulate(context, antennas, poses[i], max_bounces, grids)
+            out[i] += grids.sum() * context.carrier
         out[i] *= passive(out[i : i + 1])
     return out

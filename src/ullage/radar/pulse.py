@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ullage.antenna import PatternPair
 from ullage.arrays import Complexes, Floats
 from ullage.errors import InputError
 from ullage.geometry import C0
@@ -87,25 +88,28 @@ def _quadrature(spec: RadarSpec) -> tuple[Floats, Floats]:
 
 
 @lru_cache(maxsize=32)
-def _tabulated(spec: RadarSpec) -> Pulse:
+def _tabulated(spec: RadarSpec, patterns: PatternPair | None) -> Pulse:
     every = max(1, math.ceil(_OVERSAMPLING * spec.bandwidth_hz * spec.step_s))
     step = spec.step_s / every
     offsets, weight = _quadrature(spec)
+    passed: Floats | Complexes = weight
     spline = np.sinc(offsets * step) ** 4
     ratio = spec.center_hz / np.maximum(spec.center_hz + offsets, 0.05 * spec.center_hz)
     longest = 8 * spec.pulse_sigma_s + (32 / spec.sampling_hz if filtered(spec) else 0)
+    if patterns and patterns.transfer:
+        passed, longest = weight * patterns.transfer(spec.center_hz + offsets), longest + patterns.tail_s
     t = np.arange(0, math.ceil(longest / step) + 1) * step
     t = np.concatenate([-t[:0:-1], t])
     phase = np.exp(2j * np.pi * np.multiply.outer(t, offsets))
-    taps = np.stack([phase @ (weight * ratio**n / spline) for n in range(3)])
+    taps = np.stack([phase @ (passed * ratio**n / spline) for n in range(3)])
     loud = np.flatnonzero(abs(taps).max(0) > _FLOOR)
     half = len(t) // 2
     keep = max(half - loud[0], loud[-1] - half)
     return Pulse(np.ascontiguousarray(taps[:, half - keep : half + keep + 1]), step, every, 2 * np.pi * spec.center_hz)
 
 
-def tabulate(spec: RadarSpec) -> Pulse:
-    """Tabulate the radar's pulse for `kernels.pulse.convolve`.
+def tabulate(spec: RadarSpec, patterns: PatternPair | None = None) -> Pulse:
+    """Tabulate the radar's pulse, as a pair of patterns passes it, for `kernels.pulse.convolve`.
 
     Raises:
         InputError: the pulse is wider than the frame.
@@ -116,7 +120,7 @@ def tabulate(spec: RadarSpec) -> Pulse:
         raise InputError(f"the pulse is {width:.3g} m wide, the frame only {frame:.3g} m", where=spec.name,
                          allowed="a wider bandwidth_hz or more bins")  # fmt: skip
     bare = RadarSpec(**{n: getattr(spec, n) for n in _SHAPING})
-    return _tabulated(bare)
+    return _tabulated(bare, patterns if patterns and patterns.transfer else None)
 
 
 _SHAPING = ("center_hz", "bandwidth_hz", "pulse", "sampling_hz", "decimation", "output")

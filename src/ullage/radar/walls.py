@@ -355,10 +355,7 @@ def _over(
         return None
     value = lines.spread * antennas.factor / (2 * wave) * np.sqrt(0.5j * wave / np.pi)
     places = sampled(lines, wall.radius, wave, value != 0)
-    if (
-        not len(places.first)
-        or (abs(value[places.first]) * places.weights).sum() * float(context.table.max()) ** 2 < least
-    ):
+    if not len(places.first) or (abs(value[places.first]) * places.weights).sum() * context.loudest < least:
         return None
     wanted = _wanted(places, len(value))
     path = _paths(lines, wall, body, turn, wanted)
