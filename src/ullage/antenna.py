@@ -170,13 +170,14 @@ class FarField(NamedTuple):
         turn = (np.degrees(np.arctan2(y, x)) - self.turns[0]) % 360 + self.turns[0]
         place = np.stack([turn, np.degrees(np.arccos(np.clip(z, -1, 1)))], axis=-1)
         out = np.empty((len(self.field), len(unit), 3), complex)
-        for one, known in zip(out, self.field, strict=True):
+        for k, known in enumerate(self.field):
             values = np.concatenate([known, np.linalg.norm(known, axis=-1, keepdims=True)], -1)
             found = RegularGridInterpolator((self.turns, self.tilts), values, bounds_error=False, fill_value=None)(
                 place
             )
-            one[:] = found[:, :3] - (found[:, :3] * unit).sum(1, keepdims=True) * unit
-            one *= (found[:, 3].real / np.maximum(np.linalg.norm(one, axis=1), 1e-300))[:, None]
+            across = found[:, :3] - (found[:, :3] * unit).sum(1, keepdims=True) * unit
+            length = found[:, 3].real / np.maximum(np.linalg.norm(across, axis=1), 1e-300)
+            out[k] = length[:, None] * across
         return out
 
 

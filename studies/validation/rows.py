@@ -8,7 +8,7 @@ import numpy as np
 
 from ullage.data import Trajectory
 from ullage.geometry import quat_matrix
-from ullage.radar.context import antenna_pair, radar_context
+from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.radar.physical import accumulate, path_gain_cw
 from ullage.specs import AntennaSpec, RadarSpec
 from ullage.world.scene import Scene
@@ -61,7 +61,7 @@ def gain_via(scene: Scene, pose: Trajectory, spec: RadarSpec, thing: str, via: t
     antennas = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
     names = [o.name for o in scene.objects]
     wanted = [*(names.index(name) for name in via), -1, -1][:2]
-    echoes = accumulate(context, antennas, None, 1 + len(via), np.zeros((3, context.places), complex))
+    echoes = accumulate(radar_frame(context, antennas, None, 1 + len(via)))
     return complex(sum(
         part.echo[(part.object_ids == names.index(thing)) & (part.via == wanted).all(1)].sum()
         for part in echoes if part.via is not None

@@ -18,9 +18,9 @@ from ullage.geometry import C0, apply, matrix_quat, quat_matrix, transform
 from ullage.kernels import outlines as draw
 from ullage.kernels.edges import CutLimits, FaceOutlines
 from ullage.pipeline import LOGGER
-from ullage.radar.context import AntennaPair, RadarContext, antenna_pair, radar_context
+from ullage.radar.context import AntennaPair, RadarContext, antenna_pair, radar_context, radar_frame
 from ullage.radar.explain import contributions
-from ullage.radar.multipath import EXCESS_M, apparent_sizes, beams_of
+from ullage.radar.multipath import EXCESS_M, beams_of
 from ullage.radar.physical import echoes, path_gain_cw
 from ullage.radar.planar import cut_outlines
 from ullage.radar.walls import accumulate_walls, ball_lines, sampled, summed
@@ -177,11 +177,9 @@ def gain_over_wall(scene: Scene, pose: Trajectory, spec: RadarSpec, bounces: int
     """Compute the path gain at the carrier of echoes of some bounces over a tank's wall and the bodies in it only."""
     context = radar_context(scene, spec)
     antennas = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
-    world, grids = context.world, np.zeros((3, context.places), complex)
-    sizes = np.zeros(len(world.still.planar))
-    found = accumulate_walls(
-        context, world.parts(), world.quadrics, world.still.planar, antennas, bounces, sizes, grids
-    )
+    frame = radar_frame(context, antennas, None, bounces)
+    vars(frame)["sizes"] = np.zeros(len(frame.planar))  # over no floor or roof
+    found = accumulate_walls(frame)
     chains = ((part, np.column_stack([part.via, part.object_ids])) for part in found if part.via is not None)
     return complex(sum(part.echo.sum() for part, chain in chains
                        if ((chain >= 0).sum(1) == bounces).all() and np.ptp(chain[0][chain[0] >= 0])))  # fmt: skip
@@ -219,7 +217,7 @@ def image_lengths(context: RadarContext, antennas: AntennaPair, order: int) -> F
         first, starts, ends = planar.first, planar.starts, planar.ends
         origins = antennas.origins[None]
     else:
-        beams = beams_of(context, planar, antennas, order, apparent_sizes(context, planar, antennas))
+        beams = beams_of(radar_frame(context, antennas, None, order), antennas)
         on, first = beams.ends_on, beams.first
         asked = (beams.chains >= 0).sum(1) == order - 1
         starts, ends = np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])

@@ -8,8 +8,8 @@ from ullage.geometry import C0
 from ullage.kernels import outlines as kernel
 from ullage.kernels.edges import CutLimits, FaceOutlines
 from ullage.kernels.facets import LitFaces, Transmission
-from ullage.radar import physical, planar
-from ullage.radar.context import radar_context
+from ullage.radar import planar
+from ullage.radar.context import AntennaPair, antenna_pair, radar_context, radar_frame
 
 RADAR = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None).but(
     bins=2000, range_start_m=0.0, prf_div=255
@@ -23,18 +23,17 @@ def by_rim(size, one, other):
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * np.array([*size, 0]) / 2
     normal, offset, first, limit = np.array([[0, 0, 1.0]]), np.zeros(1), np.array([0, 4], np.int32), np.array([50.0])
     sphere, pair = np.array([[0, 0, 0, np.hypot(*size) / 2]]), np.stack([one, other])[None]
-    face, still = np.array([0]), physical.antenna_pair(RADAR, one, np.eye(3))
+    face, still = np.array([0]), antenna_pair(RADAR, one, np.eye(3))
     faces = FaceOutlines(sphere, normal, offset, first, corners, np.roll(corners, -1, 0))
     rim = planar.cut_outlines(face, faces, pair, still.aside, CutLimits(limit, 1e9, READY.pulse.omega, False))
     points = np.empty((1, 9))
     count = kernel.crossings(face, rim.windings, normal, offset, pair, limit, points)
-    grids = np.zeros((3, READY.places), complex)
-    antennas = physical.AntennaPair(pair[0], still.frames, still.fields)
-    lit = LitFaces(normal, np.zeros(1, np.int32), READY.antennas(antennas), READY.reflection)
+    frame = radar_frame(READY, AntennaPair(pair[0], still.frames, still.fields))
+    lit = LitFaces(normal, np.zeros(1, np.int32), frame.radar, READY.reflection)
     many = len(rim.owner) + len(rim.holders) + count
     between = Transmission(np.ones(many, complex), np.zeros(many))
-    planar.accumulate_outline(rim, points[:count], face[:count], between, lit, READY.pulse_grid, grids)
-    return grids.sum()
+    planar.accumulate_outline(frame, rim, points[:count], face[:count], between, lit)
+    return frame.grids.sum()
 
 
 def by_area(size, one, other, step=0.0025):

@@ -7,7 +7,7 @@ import ullage as ul
 from studies.validation.rows import radar
 from studies.validation.validate import image_lengths
 from ullage.geometry import C0
-from ullage.radar.context import antenna_pair, radar_context
+from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.radar.planar import accumulate_planar
 from ullage.radar.pulse import envelope
 
@@ -42,9 +42,8 @@ def test_a_rooms_walls_weigh_as_their_image_sources(images):
     """Mirror echoes fall as the distance of the image, as pressure does."""
     far, orders, damping = images
     ready = radar_context(ul.scenes.room(tuple(SIZE), material="pec"), radar())
-    grids = np.zeros((3, ready.places), complex)
-    parts = ready.world.parts()
-    (laid,) = accumulate_planar(ready, parts, parts[0], antenna_pair(radar(), AT, np.eye(3)), grids)
+    frame = radar_frame(ready, antenna_pair(radar(), AT, np.eye(3)))
+    (laid,) = accumulate_planar(frame, frame.parts[0])
     first = np.flatnonzero(orders == 1)
     first = first[np.argsort(far[first])]
     delays, echoes = laid.delay_s[-len(first) :], laid.echo[-len(first) :]  # mirror points come last

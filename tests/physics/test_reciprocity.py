@@ -5,8 +5,8 @@ import pytest
 
 import ullage as ul
 from ullage.radar import physical
-from ullage.radar.context import radar_context
-from ullage.radar.multipath import accumulate_bounces, apparent_sizes
+from ullage.radar.context import AntennaPair, antenna_pair, radar_context, radar_frame
+from ullage.radar.multipath import accumulate_bounces
 from ullage.world.library import WORLDS
 
 RADAR = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None).but(
@@ -14,9 +14,9 @@ RADAR = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None).
 )
 
 
-def sent(ready, one, other):
-    still = physical.antenna_pair(RADAR, one, np.eye(3))
-    return physical.AntennaPair(np.stack([one, other]), still.frames, still.fields)
+def sent(one, other):
+    still = antenna_pair(RADAR, one, np.eye(3))
+    return AntennaPair(np.stack([one, other]), still.frames, still.fields)
 
 
 def apart(rng, low, high, distance):
@@ -33,10 +33,10 @@ def differ(scene, low, high, bounces, distances, seed=3):
     ready, rng, worst = radar_context(scene, RADAR), np.random.default_rng(seed), 0.0
     for distance in distances:
         one, other = apart(rng, low, high, distance)
-        grids = np.zeros((2, 3, ready.places), complex)
-        physical.accumulate(ready, sent(ready, one, other), None, bounces, grids[0])
-        physical.accumulate(ready, sent(ready, other, one), None, bounces, grids[1])
-        worst = max(worst, abs(grids[0] - grids[1]).max() / abs(grids).max())
+        there, back = (radar_frame(ready, sent(*ends), None, bounces) for ends in ((one, other), (other, one)))
+        for frame in (there, back):
+            physical.accumulate(frame)
+        worst = max(worst, abs(there.grids - back.grids).max() / abs(there.grids).max())
     return worst
 
 
@@ -70,12 +70,10 @@ def test_two_walls_give_the_wave_of_their_one_image_wherever_the_antennas_are(si
         radar_context(ul.scenes.room(size, material="pec"), RADAR, edges=False),
         np.random.default_rng(4),
     )
-    flats, half = ready.world.still.planar, np.array(size) / 2
+    half = np.array(size) / 2
     for distance in DISTANCES:
         one, other = apart(rng, -0.8 * half, 0.8 * half, distance)
-        view, grids = sent(ready, one, other), np.zeros((3, ready.places), complex)
-        parts = ready.world.parts()
-        laid = accumulate_bounces(ready, parts, flats, view, 2, apparent_sizes(ready, flats, view), grids)
+        laid = accumulate_bounces(radar_frame(ready, sent(one, other), None, 2))
         delay = np.concatenate([part.delay_s for part in laid])
         for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):  # the four upright corners
             image = one.copy()

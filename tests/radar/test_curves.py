@@ -11,8 +11,8 @@ from studies.validation.oracles import dense_tank
 from studies.validation.rows import gain_via
 from ullage.antenna import gain
 from ullage.radar import curves, paths, physical, sphere_echoes
-from ullage.radar.context import antenna_pair, radar_context
-from ullage.radar.multipath import apparent_sizes, beams_of
+from ullage.radar.context import antenna_pair, radar_context, radar_frame
+from ullage.radar.multipath import beams_of
 from ullage.radar.penetration import fresnel
 from ullage.radar.physical import path_gain_cw
 from ullage.world import scenes
@@ -163,12 +163,12 @@ def test_nothing_is_counted_twice():
     spec = radar()
     context = radar_context(scenes.tank(2.0, 1.2, strips=24), spec)
     planar, antennas = context.world.still.planar, antenna_pair(spec, np.array([0.3, 0.2, 0.5]), np.eye(3))
-    look = apparent_sizes(context, planar, antennas)
-    beams = beams_of(context, planar, antennas, 3, look)
+    frame = radar_frame(context, antennas, None, 3)
+    beams = beams_of(frame, antennas)
     faces = np.column_stack([beams.chains, beams.ends_on])
     bent = (planar.smooth[faces] & (faces >= 0)).sum(1)
     assert not beams.weights[bent == 1].any()
-    led = paths.paths_of(context, planar, antennas, 3, look)
+    led = paths.paths_of(frame)
     assert len(led)
     assert not (planar.smooth[led.faces] & (led.faces >= 0)).any()
 
@@ -230,13 +230,10 @@ def test_echoes_over_the_floor_change_smoothly_along_a_track(monkeypatch):
     path = ul.Trajectory.line((-0.6, -0.02, 0.3), (-0.6, 0.02, 0.3), 0.5, 400)
     spec = radar()
     faces = set()
-    planar = radar_context(scene, spec).world.still.planar
     for place in path.position:
         context = radar_context(scene, spec)
-        antennas = antenna_pair(spec, place, np.eye(3))
-        faces.add(
-            tuple(paths.paths_of(context, planar, antennas, 2, apparent_sizes(context, planar, antennas)).faces.ravel())
-        )
+        frame = radar_frame(context, antenna_pair(spec, place, np.eye(3)), None, 2)
+        faces.add(tuple(paths.paths_of(frame).faces.ravel()))
     both = [ul.simulate(scene, path, spec, max_bounces=b).samples for b in (1, 2)]
     bare = [ul.simulate(scenes.room((5, 4, 2.4)), path, spec, max_bounces=b).samples for b in (1, 2)]
     change = abs(np.diff((both[1] - both[0]) - (bare[1] - bare[0]), axis=0)).max(1)

@@ -8,7 +8,7 @@ import pytest
 import ullage as ul
 from ullage.geometry import rpy_quat
 from ullage.radar import cylinder_correction, physical
-from ullage.radar.context import radar_context
+from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.radar.prepared import prepare
 from ullage.world.scene import Scene
 
@@ -95,11 +95,6 @@ def test_what_is_hidden_adds_nothing():
     tank = ul.scenes.cylinder(3.0, 3.0, 0.0, edge_m=0.1)
     box = ul.scenes.cylinder(0.3, 0.6, 0.0, edge_m=0.01)
     context = radar_context(Scene.union([tank, box]), SPEC)
-    parts, wall = context.world.parts(None), context.world.quadrics[0]
-    antennas = physical.antenna_pair(SPEC, np.zeros(3), np.eye(3))
-    assert (
-        cylinder_correction.accumulate_cylinder_corrections(
-            context, parts, (wall,), antennas, np.zeros((3, context.places), complex)
-        )
-        == []
-    )
+    frame = radar_frame(context, antenna_pair(SPEC, np.zeros(3), np.eye(3)))
+    vars(frame)["quadrics"] = frame.quadrics[:1]
+    assert cylinder_correction.accumulate_cylinder_corrections(frame) == []

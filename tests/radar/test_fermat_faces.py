@@ -9,9 +9,8 @@ from radar_worlds import at
 import ullage as ul
 from studies.validation.rows import radar
 from ullage.geometry import quat_matrix
-from ullage.radar.context import antenna_pair, radar_context
+from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.radar.fermat import accumulate_fermat
-from ullage.radar.multipath import apparent_sizes
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -41,10 +40,9 @@ def heard(scene, pose, spec, bounces=3, antennas=None):
     """What `accumulate_fermat` alone lays on the grids in some number of bounces: each echo that is not 0."""
     context = radar_context(scene, spec)
     antennas = antennas or antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
-    made, grids = context.world, np.zeros((3, context.places), complex)
-    planar = made.still.planar
-    look = apparent_sizes(context, planar, antennas) * (planar.widths.min(1, initial=9) > 1)
-    echoes = accumulate_fermat(context, made.parts(), made.quadrics, planar, antennas, 3, look, grids)
+    frame = radar_frame(context, antennas, None, 3)
+    vars(frame)["sizes"] = frame.sizes * (frame.planar.widths.min(1, initial=9) > 1)
+    echoes = accumulate_fermat(frame)
     return {
         (*(int(k) for k in part.via[i]), int(part.object_ids[i]), int(before)): part.echo[i]
         for part in echoes

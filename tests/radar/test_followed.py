@@ -66,9 +66,9 @@ def followed(monkeypatch, scene, place=(0.1, 0.2, 0.1)):
         )
         return shares(context, planar, antennas, beams, path, strong, clear)
 
-    def added(outline, points, which, *more, **told):
+    def added(frame, outline, points, which, *more):
         kept["owner"] = np.unique(np.concatenate([outline.owner, outline.holders, which]))
-        return accumulate(outline, points, which, *more, **told)
+        return accumulate(frame, outline, points, which, *more)
 
     monkeypatch.setattr(multipath, "shares", shares_of)
     monkeypatch.setattr(multipath, "accumulate_outline", added)

@@ -8,7 +8,7 @@ import pytest
 import ullage as ul
 from ullage.kernels import bounces
 from ullage.radar import multipath
-from ullage.radar.context import antenna_pair, radar_context
+from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.radar.multipath import between
 from ullage.radar.physical import path_gain_cw
 from ullage.radar.prepared import prepare
@@ -80,7 +80,7 @@ def test_the_choice_of_mirrors_changes_nothing_suddenly(monkeypatch):
     planar = prepare(room).still.planar
     context, sets = radar_context(room, radar), set()
     for place in path.position[::25]:
-        sizes = multipath.apparent_sizes(context, planar, antenna_pair(radar, place, np.eye(3)))
+        sizes = radar_frame(context, antenna_pair(radar, place, np.eye(3))).sizes
         sets.add(tuple(multipath.choose_largest(sizes)[0]))
     both = [ul.simulate(room, path, radar, max_bounces=order).samples for order in (1, 2)]
     samples = both[1] - both[0]
@@ -126,7 +126,7 @@ def test_a_face_that_a_beam_only_touches_passes_nothing_on(height):
     radar = ul.RadarSpec.preset("x4m05", noise=None)
     antennas = antenna_pair(radar, np.array([0.3, 0.2, height]), np.eye(3))
     context = radar_context(scene, radar)
-    beams = multipath.beams_of(context, planar, antennas, 3, multipath.apparent_sizes(context, planar, antennas))
+    beams = multipath.beams_of(radar_frame(context, antennas, None, 3), antennas)
     sides = np.flatnonzero(planar.object_ids == 0)
     assert len(sides) == 2
     assert np.isin(beams.chains, sides).any()

@@ -7,9 +7,8 @@ import pytest
 
 import ullage as ul
 from ullage.geometry import quat_matrix
-from ullage.kernels import pulse
 from ullage.radar import physical
-from ullage.radar.context import radar_context
+from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.world.library import WORLDS
 
 HOLD = WORLDS["cargo-hold"].path
@@ -22,10 +21,10 @@ def both(scene, path, *, max_bounces=1):
     context = radar_context(scene, RADAR)
     for whole in (False, True):
         for i in range(len(path)):
-            grids = np.zeros((3, context.places), complex)
-            antennas = physical.antenna_pair(RADAR, path.position[i], quat_matrix(path.quat_xyzw)[i])
-            physical.accumulate(replace(context, whole_outlines=whole), antennas, None, max_bounces, grids)
-            pulse.convolve(grids, context.pulse.taps, context.pulse.every, context.shift, out[int(whole), i])
+            antennas = antenna_pair(RADAR, path.position[i], quat_matrix(path.quat_xyzw)[i])
+            frame = radar_frame(replace(context, whole_outlines=whole), antennas, None, max_bounces)
+            physical.accumulate(frame)
+            frame.add_range_bins(out[int(whole), i])
     return out
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import ullage as ul
 from ullage.geometry import C0
-from ullage.radar.context import antenna_pair, radar_context
+from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.radar.penetration import coherent
 from ullage.radar.physical import accumulate, echoes
 from ullage.radar.roughness import DiffuseScatterers, diffuse_scatterers_of, spectrum
@@ -28,9 +28,8 @@ def diffuse(scene, seed, spec=RADAR, position=(0, 0, 0)):
     from ullage.radar.roughness import accumulate_diffuse_scatterers
 
     context = radar_context(scene, spec, seed=seed)
-    grids = np.zeros((3, context.places), complex)
-    antennas = antenna_pair(spec, np.asarray(position, float), np.eye(3))
-    return accumulate_diffuse_scatterers(context, context.world.parts(), antennas, None, grids).echo.sum()
+    frame = radar_frame(context, antenna_pair(spec, np.asarray(position, float), np.eye(3)))
+    return accumulate_diffuse_scatterers(frame).echo.sum()
 
 
 @pytest.mark.parametrize("height", [2e-4, 1e-3, 3e-3, 0.02])
@@ -100,11 +99,8 @@ def test_an_aperture_focuses_it():
 
     field = []
     for y in np.linspace(-0.5, 0.5, 41):
-        grids = np.zeros((3, context.places), complex)
         at = np.array([0, y, 0])
-        echo = accumulate_diffuse_scatterers(
-            context, context.world.parts(), antenna_pair(RADAR, at, np.eye(3)), None, grids
-        ).echo.sum()
+        echo = accumulate_diffuse_scatterers(radar_frame(context, antenna_pair(RADAR, at, np.eye(3)))).echo.sum()
         field.append(echo * np.exp(2j * WAVE * np.linalg.norm(one.points[0] - at)))
     assert np.ptp(np.unwrap(np.angle(field))) < 1e-6
 
@@ -112,8 +108,7 @@ def test_an_aperture_focuses_it():
 def test_explained_and_hidden():
     scene = rough(0.5, 3.0, yaw_deg=35)
     context = radar_context(scene, RADAR, seed=0)
-    grids = np.zeros((3, context.places), complex)
-    echoes = accumulate(context, antenna_pair(RADAR, np.zeros(3), np.eye(3)), None, 1, grids)
+    echoes = accumulate(radar_frame(context, antenna_pair(RADAR, np.zeros(3), np.eye(3))))
     assert sum(len(part.echo) for part in echoes) > 4
     screen = ul.scenes.plate(2, 2, 1.0)
     assert diffuse(Scene.union([scene, screen]), 0) == 0

@@ -10,8 +10,8 @@ import pytest
 import ullage as ul
 from studies.validation import oracles
 from studies.validation.validate import sphere_wall_to_wall
-from ullage.radar import physical, walls
-from ullage.radar.context import radar_context
+from ullage.radar import walls
+from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.world.scene import Scene
 
 SPEC = ul.RadarSpec.preset("x4m05").but(antenna={"kind": "isotropic"})
@@ -28,9 +28,8 @@ def test_it_is_physical_optics_iterated_over_the_wall(away, bounces, within):
 def inside(scene: Scene, place: tuple[float, float, float], spec: ul.RadarSpec = SPEC, bounces: int = 2) -> complex:
     """What `accumulate_inside` alone lays on the grids, at the carrier."""
     context = radar_context(scene, spec)
-    antennas = physical.antenna_pair(spec, np.array(place), np.eye(3))
-    grids = np.zeros((3, context.places), complex)
-    echoes = walls.accumulate_inside(context, context.world.parts(None), antennas, bounces, grids)
+    antennas = antenna_pair(spec, np.array(place), np.eye(3))
+    echoes = walls.accumulate_inside(radar_frame(context, antennas, None, bounces))
     return sum((part.echo.sum() for part in echoes), 0j)
 
 

@@ -9,7 +9,7 @@ from radar_worlds import dished
 import ullage as ul
 from ullage.geometry import C0, rpy_quat
 from ullage.radar import physical, sphere_echoes
-from ullage.radar.context import radar_context
+from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.radar.explain import explain
 from ullage.radar.prepared import prepare
 from ullage.world import shapes
@@ -132,13 +132,8 @@ def test_what_stands_before_a_ball_hides_it():
     sphere, box = ul.scenes.sphere(1.0, 0.0, edge_m=0.15), ul.scenes.sphere(0.3, 0.0, edge_m=0.02)
     path = ul.Trajectory.stationary((0.0, 0.0, 0.0), n=1)
     context = radar_context(Scene.union([sphere, box]), SPEC)
-    antennas = physical.antenna_pair(SPEC, path.position[0], np.eye(3))
-    assert (
-        sphere_echoes.accumulate_spheres(
-            context, context.world.parts(None), antennas, np.zeros((3, context.places), complex)
-        )[0]
-        == []
-    )
+    frame = radar_frame(context, antenna_pair(SPEC, path.position[0], np.eye(3)))
+    assert sphere_echoes.accumulate_spheres(frame)[0] == []
 
 
 @pytest.mark.filterwarnings("ignore:sphere")

@@ -9,8 +9,7 @@ from radar_worlds import at, body, db, onto
 import ullage as ul
 from studies.validation.rows import radar
 from studies.validation.validate import gain_over_wall, tank_and_drum_pulses
-from ullage.radar.context import antenna_pair, radar_context
-from ullage.radar.multipath import apparent_sizes
+from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.radar.prepared import prepare
 from ullage.radar.walls import TO_AND_FRO, WALL_FIRST, accumulate_walls, lines_over
 from ullage.world import scenes
@@ -31,11 +30,7 @@ def heard(scene, pose, spec, bounces):
     """What `accumulate_walls` lays on the grids over the thing in a tank, echo by echo."""
     context = radar_context(scene, spec)
     antennas = antenna_pair(spec, pose.position[0], ul.geometry.quat_matrix(pose.quat_xyzw)[0])
-    world, grids = context.world, np.zeros((3, context.places), complex)
-    planar = world.still.planar
-    look = apparent_sizes(context, planar, antennas)
-    found = accumulate_walls(context, world.parts(), world.quadrics, planar, antennas, bounces, look, grids)
-    return over_thing(scene, found)
+    return over_thing(scene, accumulate_walls(radar_frame(context, antennas, None, bounces)))
 
 
 def over_thing(scene, echoes):
@@ -135,9 +130,8 @@ def off_the_image(place):
     context = radar_context(deep, spec)
     both = [place * [1, 1, -1], place]
     antennas = replace(antenna_pair(spec, place, np.eye(3)), origins=np.array(both))
-    planar, grids = context.world.still.planar, np.zeros((3, context.places), complex)
-    told = context, context.world.parts(), context.world.quadrics, planar, antennas, 2, np.zeros(len(planar)), grids
-    want = total(over_thing(deep, accumulate_walls(*told)))  # both orders, image to radar; radar to image is as much
+    echoes = accumulate_walls(radar_frame(context, antennas, None, 2))
+    want = total(over_thing(deep, echoes))  # both orders, image to radar; radar to image is as much
     floor = [part for part in heard(scene, at(*place), spec, 3) if ((part.via >= 0).sum(1) == 2).all()
              and (part.via[:, 0] != part.object_ids).all()]  # fmt: skip
     assert abs(want) > 1e-5

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 import ullage as ul
 from studies.validation.rows import radar
 from studies.validation.validate import tank_wall_to_wall
-from ullage.radar.context import antenna_pair, radar_context
-from ullage.radar.multipath import apparent_sizes
+from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.radar.prepared import prepare
 from ullage.radar.quadrics import quadrics_of, smooth_surfaces_of, walls_of
 from ullage.radar.walls import accumulate_walls
@@ -33,9 +32,7 @@ def walls(scene, pose, spec, bounces=2):
     """What `accumulate_walls` alone lays on the grids, at the carrier, and how much of it there is."""
     context = radar_context(scene, spec)
     antennas = antenna_pair(spec, pose.position[0], ul.geometry.quat_matrix(pose.quat_xyzw)[0])
-    planar, grids = context.world.still.planar, np.zeros((3, context.places), complex)
-    look, world = apparent_sizes(context, planar, antennas), context.world
-    echoes = accumulate_walls(context, world.parts(), world.quadrics, planar, antennas, bounces, look, grids)
+    echoes = accumulate_walls(radar_frame(context, antennas, None, bounces))
     return sum((part.echo.sum() for part in echoes), 0j)
 
 

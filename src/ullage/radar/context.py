@@ -9,8 +9,8 @@ Every mechanism of `radar.physical` takes this context and knows none of the oth
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from ullage.antenna import PatternPair, pattern_pairs
 from ullage.arrays import Bools, Complexes, Floats, Ints
 from ullage.data import Trajectory
 from ullage.geometry import C0
+from ullage.kernels import beams, pulse
 from ullage.kernels import facets as kernel
 from ullage.kernels.bounces import Mirrors
 from ullage.kernels.facets import (
@@ -31,13 +32,15 @@ from ullage.kernels.facets import (
     TriangleClusters,
     TrianglePieces,
 )
+from ullage.kernels.near import LEAST_M
 from ullage.radar.diffraction import OutlineSet, nowhere, outlines_of
 from ullage.radar.echo_set import EchoSet, centroids, echo_set
-from ullage.radar.facets import PlanarPatches, Surfaces
+from ullage.radar.facets import PlanarPatches, Surfaces, joined
 from ullage.radar.own_body import carried
 from ullage.radar.penetration import Transmissive, reflection_tables, transmissive_of
 from ullage.radar.prepared import Prepared, prepare
 from ullage.radar.pulse import Pulse, tabulate
+from ullage.radar.quadrics import Quadric
 from ullage.radar.visibility import seen
 from ullage.radar.wires import Lines, strung
 from ullage.specs import RadarSpec
@@ -147,10 +150,6 @@ class RadarContext:
         """One radar at one place, as kernels take it."""
         return _antennas(self, pair)
 
-    def lit(self, pair: AntennaPair, surfaces: Surfaces | PlanarPatches) -> LitFaces:
-        """Triangles or flat faces as one radar at one place sees them, as kernels take them."""
-        return LitFaces(surfaces.normals, surfaces.object_ids, self.antennas(pair), self.reflection)
-
     def mirrors(self, planar: PlanarPatches) -> Mirrors:
         """Flat faces as mirrors for the carrier, as kernels take them."""
         return Mirrors(planar.normals, planar.offsets, planar.object_ids, planar.widths, self.bounce,
@@ -205,12 +204,12 @@ def _bench(world: Prepared, spec: RadarSpec, seed: int, edges: bool) -> tuple[Ra
     transmissive = transmissive_of(world.materials, spec)
     out, last = [], spec.range_start_m + (spec.bins - 1) * spec.bin_m
     for patterns in pattern_pairs(spec):
-        pulse = tabulate(spec, patterns)
-        pad = pulse.half + 4
-        places = 2 * pad + (spec.bins - 1) * pulse.every + 1
-        first = spec.range_start_m - pad * pulse.step_s * C0 / 2
-        out.append(RadarContext(world, spec, pulse, patterns, np.abs(patterns.table), gamma, lag, bounce, lines,
-                                outlines, transmissive, first, places, pad, (0.0, last + pulse.half_m), seed,
+        taps = tabulate(spec, patterns)
+        pad = taps.half + 4
+        places = 2 * pad + (spec.bins - 1) * taps.every + 1
+        first = spec.range_start_m - pad * taps.step_s * C0 / 2
+        out.append(RadarContext(world, spec, taps, patterns, np.abs(patterns.table), gamma, lag, bounce, lines,
+                                outlines, transmissive, first, places, pad, (0.0, last + taps.half_m), seed,
                                 not edges))  # fmt: skip
     return tuple(out)
 
@@ -230,18 +229,105 @@ def antenna_pair(spec: RadarSpec, position: Floats, turn: Floats, patterns: Patt
                        pair.axes @ turn.T, patterns=(0, len(pair.table) - 1))  # fmt: skip
 
 
-def accumulate_triangles(
-    context: RadarContext, pieces: TrianglePieces, lit: LitFaces, between: Transmission, grids: Complexes
-) -> EchoSet:
-    """Add the echoes of pieces (m) of triangles, as `triangles` gives them, to the delay grids (3, g)."""
-    (phase, place, cosine, path), (base, weight) = np.empty((4, 3)), np.empty((2, 3), complex)
-    scratch = kernel.CornerScratch(phase, place, base, cosine, path, weight)
+@dataclass(frozen=True, eq=False)
+class RadarFrame:
+    """One frame of one radar: what all of its mechanisms take, and the delay grids that they add to."""
 
-    def put(between: Transmission, sums: EchoSums) -> None:
-        kernel.accumulate(pieces, lit, between, context.pulse_grid, sums, scratch)
+    context: RadarContext
+    antennas: AntennaPair
+    parts: list[Surfaces]  # what stands still and what moves
+    poses: Floats | None  # (o, 4, 4) of the objects where any moves
+    max_bounces: int
+    grids: Complexes  # (3, g)
 
-    materials = lit.materials[pieces.triangle]
-    return echo_set(put, between, grids, materials, lambda: centroids(pieces.corners))
+    @cached_property
+    def radar(self) -> Antennas:
+        """The radar, as kernels take it."""
+        return self.context.antennas(self.antennas)
+
+    @cached_property
+    def planar(self) -> PlanarPatches:
+        """All flat faces (p)."""
+        return joined([part.planar for part in self.parts])
+
+    @cached_property
+    def quadrics(self) -> tuple[Quadric, ...]:
+        """All fitted cylinders and spheres."""
+        return self.context.world.quadrics_at(self.poses)
+
+    @cached_property
+    def sizes(self) -> Floats:
+        """Apparent size of each flat face (p) from the nearest antenna; 0 beyond the gate.
+
+        It is reduced for faces smaller than a Fresnel zone.
+        """
+        origins = self.antennas.origins[:1] if self.antennas.monostatic else self.antennas.origins
+        spheres, widths, out = self.planar.spheres, self.planar.widths, np.empty(len(self.planar))
+        beams.apparent_sizes(spheres, widths, origins, self.context.gate[1], self.context.spec.wavelength_m, out)
+        return out
+
+    def lit(self, surfaces: Surfaces | PlanarPatches) -> LitFaces:
+        """Triangles or flat faces as the radar sees them, as kernels take them."""
+        return LitFaces(surfaces.normals, surfaces.object_ids, self.radar, self.context.reflection)
+
+    def transmission_to(self, points: Floats) -> Transmission:
+        """Find the two-way factor (m) of what stands before each point, 1 in the open, and the delay it adds [s]."""
+        (one, other), transmissive = self.antennas.origins, self.context.transmissive
+        if near(one, other):
+            return Transmission(*seen(self.parts, (one + other) / 2, points, transmissive))
+        (factor, late), (back, later) = (seen(self.parts, eye, points, transmissive) for eye in (one, other))
+        return Transmission(np.sqrt(factor) * np.sqrt(back), (late + later) / 2)
+
+    def accumulate_triangles(self, pieces: TrianglePieces, lit: LitFaces, between: Transmission) -> EchoSet:
+        """Add the echoes of pieces (m) of triangles, as `triangles` gives them."""
+        (phase, place, cosine, path), (base, weight) = np.empty((4, 3)), np.empty((2, 3), complex)
+        scratch = kernel.CornerScratch(phase, place, base, cosine, path, weight)
+
+        def put(between: Transmission, sums: EchoSums) -> None:
+            kernel.accumulate(pieces, lit, between, self.context.pulse_grid, sums, scratch)
+
+        return echo_set(put, between, self.grids, lit.materials[pieces.triangle], lambda: centroids(pieces.corners))
+
+    def add_range_bins(self, out: Complexes) -> None:
+        """Convolve the delay grids with the pulse, and add them to range bins (b)."""
+        context = self.context
+        pulse.convolve(self.grids, context.pulse.taps, context.pulse.every, context.shift, out)
+
+
+def radar_frame(
+    context: RadarContext, antennas: AntennaPair, poses: Floats | None = None, max_bounces: int = 1
+) -> RadarFrame:
+    """Start a frame of a radar at one place, without echoes; `poses` (o, 4, 4) of the objects where any moves."""
+    parts = context.world.parts(poses)
+    grids = np.zeros((3, context.places), complex)
+    return RadarFrame(context, off_faces(parts, antennas), parts, poses, max_bounces, grids)
+
+
+def frames_at(
+    contexts: tuple[RadarContext, ...], position: Floats, turn: Floats, poses: Floats | None, max_bounces: int
+) -> list[RadarFrame]:
+    """Start a frame of each pair of patterns at a position (3) [m] with world_from_sensor rotation (3, 3)."""
+    return [radar_frame(one, antenna_pair(one.spec, position, turn, one.patterns), poses, max_bounces)
+            for one in contexts]  # fmt: skip
+
+
+def off_faces(parts: list[Surfaces], antennas: AntennaPair) -> AntennaPair:
+    """The radar `LEAST_M` off the planes of all flat faces that it is in: on a face there is no side to be on.
+
+    What lies in a plane to 1 nm comes to stand in front of it.
+    """
+    origins = antennas.origins
+    for part in parts:
+        normals, offsets = part.planar.normals, part.planar.offsets
+        some = origins[:1] if antennas.monostatic else origins
+        gaps = np.array([normals @ origin for origin in some]) - offsets
+        close = np.repeat(abs(gaps) < LEAST_M, 3 - len(some), 0)
+        if close.any():
+            origins = origins.copy()
+            for s, p in np.argwhere(close):
+                gap = float(normals[p] @ origins[s] - offsets[p])
+                origins[s] += ((LEAST_M if gap > -1e-9 else -LEAST_M) - gap) * normals[p]
+    return antennas if origins is antennas.origins else replace(antennas, origins=origins)
 
 
 def grown(size: int, shape: tuple[int, ...], fill: Callable[[Floats, Ints], int]) -> tuple[Floats, Ints]:
@@ -254,44 +340,28 @@ def grown(size: int, shape: tuple[int, ...], fill: Callable[[Floats, Ints], int]
         size = int(1.2 * count)
 
 
-def triangles(
-    context: RadarContext, part: Surfaces, antennas: AntennaPair, done: Bools | None = None
-) -> tuple[Floats, Ints]:
+def triangles(frame: RadarFrame, part: Surfaces, done: Bools | None = None) -> tuple[Floats, Ints]:
     """Cut the triangles within the gate, but those `done` (f), to pieces small enough for the closed form.
 
     Returns:
         The pieces (m, 3, 3) [m], and the triangle that each came from (m).
     """
-    opaque = ~context.transmissive.thin[part.object_ids]
-    if near(*antennas.origins):
-        dark = part.backs.hidden(antennas.origins, opaque)
+    opaque, origins = ~frame.context.transmissive.thin[part.object_ids], frame.antennas.origins
+    if near(*origins):
+        dark = part.backs.hidden(origins, opaque)
     else:  # a face takes from one place and gives to the other
-        dark = part.backs.hidden(antennas.origins[:1], opaque) | part.backs.hidden(antennas.origins[1:], opaque)
-    if done is not None:
-        dark = dark | done
-    return split(context, part, antennas, dark, 8192)
+        dark = part.backs.hidden(origins[:1], opaque) | part.backs.hidden(origins[1:], opaque)
+    return split(frame, part, dark if done is None else dark | done, 8192)
 
 
-def split(context: RadarContext, part: Surfaces, antennas: AntennaPair, dark: Bools, room: int) -> tuple[Floats, Ints]:
+def split(frame: RadarFrame, part: Surfaces, dark: Bools, room: int) -> tuple[Floats, Ints]:
     """Cut the triangles but the `dark` ones (f); give the pieces (m, 3, 3) [m] and the triangle of each (m).
 
     There is room for so many pieces at first.
     """
     clusters = TriangleClusters(part.spheres, part.first, part.corners)
-    stack = np.empty((96, 3, 3))
-    return grown(room, (3, 3), lambda out, owner: kernel.split(
-        clusters, dark, antennas.origins, context.piece_limits, out, owner, stack))  # fmt: skip
-
-
-def transmission_to(
-    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, points: Floats
-) -> Transmission:
-    """Find the two-way factor (m) of what stands before each point, 1 in the open, and the delay it adds [s]."""
-    one, other = antennas.origins
-    if near(one, other):
-        return Transmission(*seen(parts, (one + other) / 2, points, context.transmissive))
-    (factor, late), (back, later) = (seen(parts, eye, points, context.transmissive) for eye in (one, other))
-    return Transmission(np.sqrt(factor) * np.sqrt(back), (late + later) / 2)
+    origins, limits, stack = frame.antennas.origins, frame.context.piece_limits, np.empty((96, 3, 3))
+    return grown(room, (3, 3), lambda out, owner: kernel.split(clusters, dark, origins, limits, out, owner, stack))
 
 
 def near(one: Floats, other: Floats) -> bool:

@@ -17,9 +17,8 @@ import numpy as np
 from ullage.arrays import Complexes, Floats
 from ullage.geometry import C0
 from ullage.kernels.facets import ONE, toward
-from ullage.radar.context import AntennaPair, RadarContext, transmission_to
+from ullage.radar.context import RadarContext, RadarFrame
 from ullage.radar.echo_set import EchoSet
-from ullage.radar.facets import Surfaces
 from ullage.radar.mirrors import across, dot
 from ullage.radar.penetration import reflection_tables
 from ullage.radar.pulse import spectrum
@@ -126,14 +125,13 @@ def _impulses_of(context: RadarContext) -> dict[int, Impulses]:
     }
 
 
-def accumulate_creeping(
-    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, poses: Floats | None, grids: Complexes
-) -> list[EchoSet]:
+def accumulate_creeping(frame: RadarFrame) -> list[EchoSet]:
     """Add what physical optics leaves out on whole balls in sight to the delay grids."""
+    context, antennas, radar = frame.context, frame.antennas, frame.radar
     known = _impulses_of(context)
     if not known:
         return []
-    balls = context.world.balls_at(poses)
+    balls = context.world.balls_at(frame.poses)
     rows = [balls[k] for k in known]
     centres, radii = np.array([ball.centre for ball in rows]).reshape(-1, 3), np.array([ball.radius for ball in rows])
     away = np.linalg.norm(centres - antennas.origins[:, None], axis=2)
@@ -143,9 +141,8 @@ def accumulate_creeping(
     centres, radii, away, rows = centres[seen], radii[seen], away[:, seen], [rows[k] for k in seen]
     paths = (centres - antennas.origins[:, None]) / away[..., None]
     spots = centres - (radii + PULL_M)[:, None] * paths.mean(0)
-    between = transmission_to(context, parts, antennas, spots)
+    between = frame.transmission_to(spots)
     factor = antennas.factor * between.factor
-    radar = context.antennas(antennas)
     for s in range(2):
         factor = factor * [toward(radar.table, radar.isotropic, radar.frames, ONE, s, *u) for u in paths[s]]
     if not antennas.alike:  # a ball returns the polarisation that it meets
@@ -162,7 +159,7 @@ def accumulate_creeping(
     near = mean + np.clip(late * C0 / 2, -radii[of], 0.0)
     spread = mean * (near**4 + (context.spec.wavelength_m / (8 * np.pi)) ** 4) ** 0.25  # at the end as `kernels.near`
     delay, value = middle[of] + late, factor[of] * np.concatenate([one.value for one in made]) / spread
-    each = accumulate(context, delay, value, grids, (1.0, 0.0))
+    each = accumulate(context, delay, value, frame.grids, (1.0, 0.0))
     total = np.zeros(len(made), complex)
     np.add.at(total, of, each)
 

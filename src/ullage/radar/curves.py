@@ -20,8 +20,8 @@ from ullage.geometry import C0
 from ullage.kernels import lit
 from ullage.kernels import paths as kernel
 from ullage.kernels.edges import CutLimits, Outline
-from ullage.kernels.facets import LitFaces, Transmission, TriangleClusters, TrianglePieces
-from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles, split
+from ullage.kernels.facets import LitFaces, Reflection, Transmission, TriangleClusters, TrianglePieces
+from ullage.radar.context import RadarContext, RadarFrame, split
 from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.mirrors import unit
@@ -61,15 +61,7 @@ class Targets:
     at: Longs | None = None  # (m) row of the points
 
 
-def accumulate_curves(
-    context: RadarContext,
-    parts: list[Surfaces],
-    planar: PlanarPatches,
-    antennas: AntennaPair,
-    paths: PathSet,
-    peak: float,
-    grids: Complexes,
-) -> list[EchoSet]:
+def accumulate_curves(frame: RadarFrame, paths: PathSet, peak: float) -> list[EchoSet]:
     """Adds the echoes of small triangles and of facets of curved surfaces over flat faces to the delay grids.
 
     Facets, and parts of their rims, that are too faint beside the path gain amplitude `peak` are left out.
@@ -77,21 +69,19 @@ def accumulate_curves(
     if not len(paths):
         return []
     out: list[EchoSet] = []
-    for part in parts:
+    for part in frame.parts:
         if len(part.corners):
-            out += _accumulate_small(context, parts, part, planar, antennas, paths, grids)
-    smooth = np.flatnonzero(planar.smooth)
-    if len(smooth):
-        out += _accumulate_strips(context, parts, planar, antennas, paths, smooth, peak, grids)
+            out += _accumulate_small(frame, part, paths)
+    if frame.planar.smooth.any():
+        out += _accumulate_strips(frame, paths, peak)
     return out
 
 
 @lru_cache(maxsize=8)
-def _bare(context: RadarContext) -> RadarContext:
-    """The bench with everything reflecting 1, for paths whose coefficients are known otherwise."""
+def _bare(context: RadarContext) -> Reflection:
+    """Tables with everything reflecting 1, for paths whose coefficients are known otherwise."""
     count = len(context.gamma)
-    gamma, bounce = (one[-1:].repeat(count, axis=0) for one in (context.gamma, context.bounce))
-    return replace(context, gamma=gamma, lag=context.lag[-1:].repeat(count, axis=0), bounce=bounce)
+    return Reflection(context.gamma[-1:].repeat(count, axis=0), context.lag[-1:].repeat(count, axis=0))
 
 
 @lru_cache(maxsize=8)
@@ -100,32 +90,23 @@ def _most(context: RadarContext) -> Floats:
     return np.ascontiguousarray(abs(context.bounce[:, 0]).max(1))
 
 
-def _accumulate_small(
-    context: RadarContext,
-    parts: list[Surfaces],
-    part: Surfaces,
-    planar: PlanarPatches,
-    antennas: AntennaPair,
-    paths: PathSet,
-    grids: Complexes,
-) -> list[EchoSet]:
-    reach = lit_by(context, part, paths)
+def _accumulate_small(frame: RadarFrame, part: Surfaces, paths: PathSet) -> list[EchoSet]:
+    reach = lit_by(frame.context, part, paths)
     if not reach.any():
         return []
-    leaves, owner = split(context, part, antennas, np.asarray(~reach.any(0)), 2048)
+    leaves, owner = split(frame, part, np.asarray(~reach.any(0)), 2048)
     of, at = np.empty((2, len(paths) * len(owner)), np.int64)
     count = lit.pair_up(reach, owner, of, at)
     of, at = of[:count], at[:count]
     targets = Targets(of, centroids(leaves), part.object_ids[owner[at]], at)
-    factor = heard(context, parts, planar, antennas, paths, targets)
+    factor = heard(frame, paths, targets)
     free = np.flatnonzero(factor)
     if not len(free):
         return []
     of, at = of[free], at[free]
     pieces, between = TrianglePieces(leaves.take(at, 0), owner[at], of), Transmission(factor[free], np.zeros(len(free)))
-    seen = _bare(context).lit(antennas, part)
-    seen = seen._replace(antennas=paths.antennas(seen.antennas))
-    return [paths.with_paths(accumulate_triangles(context, pieces, seen, between, grids), of)]
+    seen = LitFaces(part.normals, part.object_ids, paths.antennas(frame.radar), _bare(frame.context))
+    return [paths.with_paths(frame.accumulate_triangles(pieces, seen, between), of)]
 
 
 def lit_by(context: RadarContext, part: Surfaces, paths: PathSet) -> Bools:
@@ -152,26 +133,18 @@ def audible(context: RadarContext, loud: Floats, paths: Floats, rest: float) -> 
     return out
 
 
-def _accumulate_strips(
-    context: RadarContext,
-    parts: list[Surfaces],
-    planar: PlanarPatches,
-    antennas: AntennaPair,
-    paths: PathSet,
-    smooth: Longs,
-    peak: float,
-    grids: Complexes,
-) -> list[EchoSet]:
+def _accumulate_strips(frame: RadarFrame, paths: PathSet, peak: float) -> list[EchoSet]:
+    context, parts, planar = frame.context, frame.parts, frame.planar
     backs = parts[0].flat_backs
     if len(parts) > 1:
         backs = Backs.joined([part.flat_backs for part in parts])
-    strips = met(context, planar, backs, paths, smooth, peak)
+    strips = met(context, planar, backs, paths, peak)
     if not len(strips.on):
         return []
     faces = strips.faces
     limits, many, ends = np.array(context.gate[1:]), np.arange(len(strips.on)), paths.ends[strips.of]
     follow = CutLimits(limits, 1e9, context.pulse.omega, context.whole_outlines)
-    outline = cut_outlines(many, face_outlines(faces), ends, antennas.aside, follow)
+    outline = cut_outlines(many, face_outlines(faces), ends, frame.antennas.aside, follow)
     if not (len(outline.pieces) or len(outline.tips) or (outline.windings > 0.5).any()):
         return []
 
@@ -185,12 +158,12 @@ def _accumulate_strips(
         points = points + NUDGE_M * unit(inward)
         object_ids = planar.object_ids[strips.on[owner]]
         targets = Targets(strips.of[owner], points, object_ids)
-        out[wanted] = heard(context, parts, planar, antennas, paths, targets)
+        out[wanted] = heard(frame, paths, targets)
         return out, np.zeros(len(out))
 
     plain = np.full(len(many), len(context.gamma) - 1, np.int32)
-    seen = LitFaces(faces.normals, plain, paths.antennas(context.antennas(antennas), strips.of), context.reflection)
-    echoes, owner = accumulate_parted(context, faces, many, outline, limits, Shading(shaded), seen, grids)
+    seen = LitFaces(faces.normals, plain, paths.antennas(frame.radar, strips.of), context.reflection)
+    echoes, owner = accumulate_parted(frame, faces, many, outline, limits, Shading(shaded), seen)
     return [paths.with_paths(replace(echoes, object_ids=planar.object_ids[strips.on[owner]]), strips.of[owner])]
 
 
@@ -201,10 +174,9 @@ def outlines_heard(context: RadarContext, outline: Outline, gains: Floats, rest:
     return audible(context, louds[:count], lengths[:count], rest)
 
 
-def met(
-    context: RadarContext, planar: PlanarPatches, backs: Backs, paths: PathSet, smooth: Longs, peak: float
-) -> Strips:
-    """Those of some faces that ways meet within the gate, but for what is too faint."""
+def met(context: RadarContext, planar: PlanarPatches, backs: Backs, paths: PathSet, peak: float) -> Strips:
+    """Those of the facets of curved surfaces that ways meet within the gate, but for what is too faint."""
+    smooth = np.flatnonzero(planar.smooth)
     size, inside = min(len(paths) * len(smooth), 8192), backs.inside(paths.images[:1, :, 0].reshape(-1, 3))
     turned, outlined = lit.FaceSides(backs.outward, inside), face_outlines(planar)
     bounds = lit.EchoBounds(context.gate[1], context.pulse.omega / C0, context.magnitudes,
@@ -235,21 +207,14 @@ def met(
     return Strips(of, on, gains, faces)
 
 
-def heard(
-    context: RadarContext,
-    parts: list[Surfaces],
-    planar: PlanarPatches,
-    antennas: AntennaPair,
-    paths: PathSet,
-    targets: Targets,
-) -> Complexes:
+def heard(frame: RadarFrame, paths: PathSet, targets: Targets) -> Complexes:
     """What all reflections of ways over points of objects make of the wave (m); 0 where it is blocked.
 
     The antennas' patterns and the spread of the wave are not in it.
     """
-    known = reached(parts, planar, paths, targets.of, targets.points, targets.at)
+    known = reached(frame, paths, targets.of, targets.points, targets.at)
     out = np.zeros(len(targets.of), complex)
     pairs = kernel.Weighed(known.stops, known.rows, np.flatnonzero(known.free), targets.of, targets.object_ids)
     scratch = kernel.FieldScratch(np.empty((3, 3)), np.empty((2, 3), complex))
-    kernel.weigh(pairs, paths.faces, antennas.fields, context.mirrors(planar), scratch, out)
+    kernel.weigh(pairs, paths.faces, frame.antennas.fields, frame.context.mirrors(frame.planar), scratch, out)
     return out

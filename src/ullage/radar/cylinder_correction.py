@@ -22,9 +22,9 @@ from scipy.special import fresnel
 
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
-from ullage.radar.context import AntennaPair, RadarContext, transmission_to
+from ullage.kernels.facets import Transmission
+from ullage.radar.context import AntennaPair, RadarFrame
 from ullage.radar.echo_set import EchoSet
-from ullage.radar.facets import Surfaces
 from ullage.radar.quadrics import Quadric
 from ullage.radar.reflected_paths import accumulate, scattered
 
@@ -77,27 +77,17 @@ class Spots(NamedTuple):
     outward: Floats  # (2, m) cosines between both paths and the outward normal
 
 
-def accumulate_cylinder_corrections(
-    context: RadarContext, parts: list[Surfaces], quadrics: tuple[Quadric, ...], antennas: AntennaPair, grids: Complexes
-) -> list[EchoSet]:
-    """Add to the delay grids the difference between the arcs of walls and drums and the strips of their meshes.
-
-    Args:
-        context: radar and scene.
-        parts: surfaces at rest and moving surfaces.
-        quadrics: fitted cylinders and spheres.
-        antennas: pose of the radar.
-        grids: (3, g) complex, added to.
-    """
-    wavelength = context.spec.wavelength_m
-    lines = lines_of(quadrics, wavelength / 2, float(np.sqrt(wavelength * context.gate[1] / 2)))
+def accumulate_cylinder_corrections(frame: RadarFrame) -> list[EchoSet]:
+    """Add to the delay grids the difference between the arcs of walls and drums and the strips of their meshes."""
+    wavelength, gate = frame.context.spec.wavelength_m, frame.context.gate[1]
+    lines = lines_of(frame.quadrics, wavelength / 2, float(np.sqrt(wavelength * gate / 2)))
     if lines is None:
         return []
-    places = _places(antennas, lines, 2 * context.gate[1])
+    places = _places(frame.antennas, lines, 2 * gate)
     if not len(places.rows):
         return []
-    places, between = _free(context, parts, antennas, lines, places)
-    return [_echoes_of(context, antennas, _spots(antennas, lines, places), between, grids)] if len(places.rows) else []
+    places, between = _free(frame, lines, places)
+    return [_echoes_of(frame, _spots(frame.antennas, lines, places), between)] if len(places.rows) else []
 
 
 @lru_cache(maxsize=8)  # walls at rest are the same from frame to frame
@@ -160,9 +150,7 @@ def _spots(antennas: AntennaPair, lines: Lines, places: Places) -> Spots:
     return Spots(some, places, points, paths, ranges, _dots(paths, some.axes), -_dots(paths, some.inward))
 
 
-def _free(
-    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, lines: Lines, places: Places
-) -> tuple[Places, tuple[Complexes, Floats]]:
+def _free(frame: RadarFrame, lines: Lines, places: Places) -> tuple[Places, Transmission]:
     """Select the visible places (m), with the factor and the delay [s] of transmissive objects before them.
 
     One ray per strip decides: in front of the wall and off its ends, or in front of the cap and off the wall.
@@ -172,41 +160,36 @@ def _free(
     one, at = Places._make(row[first] for row in places), places.rows[first]
     axes, inward, pull = lines.axes[at], lines.inward[at], lines.pull[at]
     points = lines.at[at] + one.heights[:, None] * axes
-    paths = points - antennas.origins[0]
+    paths = points - frame.antennas.origins[0]
     off = np.where(one.flat, pull, np.copysign(pull, -_dots(paths, inward)))
     along = -_PULL_M * np.where(one.flat, np.sign(_dots(paths, axes)), one.side)
-    transmission, late = transmission_to(
-        context, parts, antennas, points + off[:, None] * inward + along[:, None] * axes
-    )
+    transmission, late = frame.transmission_to(points + off[:, None] * inward + along[:, None] * axes)
     back = np.repeat(np.arange(len(first)), np.diff(first, append=len(flat)))
     free = np.flatnonzero(transmission[back])
-    return Places._make(row[free] for row in places), (transmission[back[free]], late[back[free]])
+    return Places._make(row[free] for row in places), Transmission(transmission[back[free]], late[back[free]])
 
 
-def _echoes_of(
-    context: RadarContext, antennas: AntennaPair, spots: Spots, between: tuple[Complexes, Floats], grids: Complexes
-) -> EchoSet:
+def _echoes_of(frame: RadarFrame, spots: Spots, between: Transmission) -> EchoSet:
     """Add the echoes of spots (m), with the factor and the delay [s] of transmissive objects before each."""
-    (transmission, late), wave, lines = between, 2 * np.pi / context.spec.wavelength_m, spots.lines
+    wave, lines = 2 * np.pi / frame.context.spec.wavelength_m, spots.lines
     extra, flat, caps = _extra_length(spots), spots.places.flat, int(np.searchsorted(spots.places.flat, True))
     value = _across_chord(spots, wave)
     value[:caps] *= _along(spots, wave)
-    value *= 1j / (4 * np.pi) * antennas.factor * transmission * np.exp(1j * wave * extra)
+    value *= 1j / (4 * np.pi) * frame.antennas.factor * between.factor * np.exp(1j * wave * extra)
     normals = np.where(flat[:, None], lines.axes, lines.inward)
-    value *= scattered(context, antennas, lines.object_ids, spots.points, normals) / spots.ranges.prod(0)
-    delay = (spots.ranges.sum(0) + extra) / C0 + late
+    value *= scattered(frame, lines.object_ids, spots.points, normals) / spots.ranges.prod(0)
+    delay = (spots.ranges.sum(0) + extra) / C0 + between.delay_s
 
     def put(value: Complexes, grids: Complexes) -> Complexes:
-        kinds = (
-            (slice(caps), (1.5, -0.5)),
-            (slice(caps, None), (1.0, 0.0)),
-        )  # growing with the root of f, and constant
-        return np.concatenate([accumulate(context, delay[some], value[some], grids, shares) for some, shares in kinds])
+        kinds = (slice(caps), (1.5, -0.5)), (slice(caps, None), (1.0, 0.0))  # growing with the root of f, and constant
+        return np.concatenate(
+            [accumulate(frame.context, delay[some], value[some], grids, shares) for some, shares in kinds]
+        )
 
     def again(factors: Complexes, others: Complexes) -> None:
         put(value * factors, others)
 
-    return EchoSet(lines.object_ids.astype(np.int32), spots.points, put(value, grids), delay, again)
+    return EchoSet(lines.object_ids.astype(np.int32), spots.points, put(value, frame.grids), delay, again)
 
 
 def _extra_length(spots: Spots) -> Floats:

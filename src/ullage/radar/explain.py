@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +17,14 @@ from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.data import Frames, Samples, Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
-from ullage.kernels import pulse as pulses
-from ullage.radar.context import RadarContext, antenna_pair, radar_contexts
+from ullage.radar.context import RadarContext, RadarFrame, frames_at, radar_contexts
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.own_body import with_body
 from ullage.radar.physical import accumulate, passive, radio
 from ullage.specs import MOST_BOUNCES, RadarSpec
 from ullage.world.scene import Scene
+
+Made = list[tuple[RadarFrame, list[EchoSet]]]  # echoes of each pair of patterns
 
 _CELL_M = 0.11  # echoes of one object within this much range, about half a pulse, are reported as one
 _APART_M = 0.5  # but not where nothing of the object lies between, over more than this and than a face fills of a cell
@@ -145,23 +146,14 @@ def contributions(
 ) -> list[Contribution]:
     """List the contributions at the sensor's one pose, strongest first: all of them, or the first `count`."""
     contexts, turn = radar_contexts(scene, spec, seed=seed), quat_matrix(pose.quat_xyzw)[0]
-    poses, frame, total = contexts[0].poses(pose)[0], [], np.zeros(spec.bins, complex)
-    for context in contexts:
-        grids = np.zeros((3, context.places), complex)
-        antennas = antenna_pair(spec, pose.position[0], turn, context.patterns)
-        frame.append(_Accumulated(context, accumulate(context, antennas, poses, max_bounces, grids)))
-        _add_range_bins(context, grids, total)
-    rows = _rows([replace(part, echo=part.echo * one.context.carrier) for one in frame for part in one.echoes])
+    poses, made, total = contexts[0].poses(pose)[0], [], np.zeros(spec.bins, complex)
+    for frame in frames_at(contexts, pose.position[0], turn, poses, max_bounces):
+        made.append((frame, accumulate(frame)))
+        frame.add_range_bins(total)
+    rows = _rows([replace(part, echo=part.echo * frame.context.carrier) for frame, echoes in made for part in echoes])
     found = _alike(spec, list(_clusters(rows)))
     strongest = sorted(found, key=lambda c: -np.abs(c.total) * _landing(contexts[0], c)[2])[:count]
-    return [_contribution(frame, scene, rows, one, passive(total)) for one in strongest]
-
-
-class _Accumulated(NamedTuple):
-    """Echoes of one pair of patterns."""
-
-    context: RadarContext
-    echoes: list[EchoSet]
+    return [_contribution(made, scene, rows, one, passive(total)) for one in strongest]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -353,37 +345,29 @@ def _landing(context: RadarContext, one: _Cluster) -> tuple[float, float, float]
     return at, float(np.angle(np.exp(1j * phase))), float(left) if beyond else 1.0
 
 
-def _contribution(frame: list[_Accumulated], scene: Scene, rows: _Rows, one: _Cluster, whole: float) -> Contribution:
+def _contribution(made: Made, scene: Scene, rows: _Rows, one: _Cluster, whole: float) -> Contribution:
     """Describe a cluster, whose samples keep the share `whole` of its echoes."""
     names, here = [scene.objects[k].name for k in one.chain], one.scatterer
-    at, phase, left = _landing(frame[0].context, one)
+    at, phase, left = _landing(made[0][0].context, one)
     x, y, z = (float(v) for v in one.point)
     level = float(20 * np.log10(max(abs(one.total) * left * whole, 1e-30)))
     return Contribution(names[here], len(names), one.delay_s, one.delay_s * C0 / 2, level, (x, y, z), phase,
                         tuple(names[:here]), tuple(names[here + 1 :]), at * C0 / 2,
-                        _samples(frame, rows, one, whole))  # fmt: skip
+                        _samples(made, rows, one, whole))  # fmt: skip
 
 
-def _samples(frame: list[_Accumulated], rows: _Rows, one: _Cluster, whole: float) -> Samples:
+def _samples(made: Made, rows: _Rows, one: _Cluster, whole: float) -> Samples:
     """Compute what a cluster adds to a frame (b), from its echoes alone."""
-    spec, first = frame[0].context.spec, 0
-    shares, out = (
-        np.zeros(sum(len(part.echo) for each in frame for part in each.echoes), complex),
-        np.zeros(spec.bins, complex),
-    )
+    spec, first = made[0][0].context.spec, 0
+    shares, out = np.zeros(sum(len(p.echo) for _, e in made for p in e), complex), np.zeros(spec.bins, complex)
     np.add.at(shares, rows.at[one.rows], one.shares)
-    for context, echoes in frame:
-        grids = np.zeros((3, context.places), complex)
+    for frame, echoes in made:
+        alone = replace(frame, grids=np.zeros_like(frame.grids))
         for part in echoes:
             mine = shares[first : first + len(part.echo)]
             first += len(part.echo)
             if mine.any():
-                part.again(mine, grids)
-        _add_range_bins(context, grids, out)
+                part.again(mine, alone.grids)
+        alone.add_range_bins(out)
     out *= whole
     return radio(out[None], spec)[0] if spec.output == "rf" else out.astype(np.complex64)
-
-
-def _add_range_bins(context: RadarContext, grids: Complexes, out: Complexes) -> None:
-    """Convolve delay grids with the pulse, and add them to range bins (b)."""
-    pulses.convolve(grids, context.pulse.taps, context.pulse.every, context.shift, out)

@@ -14,14 +14,12 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from ullage.arrays import Complexes, Floats, Longs
+from ullage.arrays import Floats, Longs
 from ullage.kernels import fermat as kernel
-from ullage.radar.context import AntennaPair, RadarContext
+from ullage.radar.context import RadarFrame
 from ullage.radar.echo_set import EchoSet
-from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.multipath import choose_largest
 from ullage.radar.paths import FACES, largest
-from ullage.radar.quadrics import Quadric
 from ullage.radar.reflected_paths import PathSum, ReflectedPaths, accumulate_paths, end_factors, free, reflection_gains
 from ullage.radar.reflectors import ReflectorSet, bodies_of, faces_of, joined, points_of
 
@@ -54,45 +52,39 @@ def fermat_paths(surfaces: kernel.Reflectors, rows: Longs, *, follow: bool = Fal
     return out
 
 
-def accumulate_fermat(
-    context: RadarContext, parts: list[Surfaces], quadrics: tuple[Quadric, ...], planar: PlanarPatches,
-    antennas: AntennaPair, most: int, sizes: Floats, grids: Complexes,
-) -> list[EchoSet]:  # fmt: skip
-    """Add the echoes of two to `most` bounces over round bodies, and flat faces of apparent `sizes` (p), to the grids.
+def accumulate_fermat(frame: RadarFrame) -> list[EchoSet]:
+    """Add the echoes of two bounces and more over round bodies and flat faces to the delay grids.
 
     Echoes that are too weak against those in the grids are left out.
     """
+    context, origins = frame.context, frame.antennas.origins
     narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
-    bodies = bodies_of(tuple(r for r in quadrics if r.widest < narrow))
+    bodies = bodies_of(tuple(r for r in frame.quadrics if r.widest < narrow))
     if not len(bodies):
         return []
-    gaps = bodies.gaps(antennas.origins)
-    radii = bodies.surfaces.radii
+    gaps, radii = bodies.gaps(origins), bodies.surfaces.radii
     seen = np.where(gaps.min(0) < context.gate[1] + radii, radii / np.maximum(gaps.max(0), 1e-6), 0.0)
     out: list[EchoSet] = []
-    for bounces in range(2, min(most, max(SELECTIONS)) + 1):
-        out += _of_order(context, parts, bodies, planar, antennas, bounces, (seen, sizes), grids)
+    for bounces in range(2, min(frame.max_bounces, max(SELECTIONS)) + 1):
+        out += _of_order(frame, bodies, bounces, seen)
     return out
 
 
-def _of_order(
-    context: RadarContext, parts: list[Surfaces], bodies: ReflectorSet, planar: PlanarPatches, antennas: AntennaPair,
-    bounces: int, sizes: tuple[Floats, Floats], grids: Complexes,
-) -> list[EchoSet]:  # fmt: skip
-    """Add the echoes of some number of bounces; `sizes` are the apparent ones of bodies and faces."""
-    chosen = SELECTIONS[bounces]
-    which, weights = choose_largest(sizes[0], chosen.bodies)
-    some = largest(sizes[1] * ~planar.smooth, chosen.faces)
-    held, shares = choose_largest(sizes[1][some], chosen.faces)
+def _of_order(frame: RadarFrame, bodies: ReflectorSet, bounces: int, seen: Floats) -> list[EchoSet]:
+    """Add the echoes of some number of bounces; `seen` are the apparent sizes of bodies."""
+    chosen, sizes = SELECTIONS[bounces], frame.sizes
+    which, weights = choose_largest(seen, chosen.bodies)
+    some = largest(sizes * ~frame.planar.smooth, chosen.faces)
+    held, shares = choose_largest(sizes[some], chosen.faces)
     faces = some[held]
-    rows, counts = _sequences(bounces, len(faces), len(which), antennas.reversible)
+    rows, counts = _sequences(bounces, len(faces), len(which), frame.antennas.reversible)
     if not len(rows):
         return []
-    met = joined([points_of(antennas.origins), faces_of(planar).take(faces), bodies])
+    met = joined([points_of(frame.antennas.origins), faces_of(frame.planar).take(faces), bodies])
     numbers = np.concatenate([_ENDS, 2 + np.arange(len(faces)), 2 + len(faces) + which])
     factors = np.concatenate([[1.0, 1.0], shares[held], weights[which]])
     chains = kernel.Chains(numbers[rows], counts * factors[rows].prod(1))
-    return _echoes_of(context, parts, antennas, met, chains, chosen.faint, grids)
+    return _echoes_of(frame, met, chains, chosen.faint)
 
 
 @lru_cache(maxsize=64)
@@ -109,12 +101,10 @@ def _sequences(bounces: int, faces: int, bodies: int, one: bool) -> tuple[Longs,
     return np.array([(0, *row, 1) for row in found], np.int64).reshape(-1, bounces + 2), np.array(counts)
 
 
-def _echoes_of(
-    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, met: ReflectorSet, chains: kernel.Chains,
-    faint: float, grids: Complexes,
-) -> list[EchoSet]:  # fmt: skip
+def _echoes_of(frame: RadarFrame, met: ReflectorSet, chains: kernel.Chains, faint: float) -> list[EchoSet]:
     """Add the echoes over chains (n) that are strong enough."""
-    least, wavelength = faint * float(abs(grids).max()), context.spec.wavelength_m
+    context, antennas = frame.context, frame.antennas
+    least, wavelength = faint * float(abs(frame.grids).max()), context.spec.wavelength_m
     full = wavelength / (4 * np.pi) * antennas.factor
     limits = kernel.Limits(2 * context.gate[1], least / (abs(full) * context.loudest))
     some = np.empty(len(chains.rows), np.int64)
@@ -133,9 +123,9 @@ def _echoes_of(
         return []
     path = path.take(strong)
     echo = full * left[strong] * reflection_gains(context, antennas, path)
-    echo *= (abs(echo) > least) * free(parts, path)
+    echo *= (abs(echo) > least) * free(frame.parts, path)
     each = np.arange(len(strong))
-    return [accumulate_paths(context, path, PathSum(paths.lengths[some[strong]], echo, each, each, (0.0, 1.0)), grids)]
+    return [accumulate_paths(frame, path, PathSum(paths.lengths[some[strong]], echo, each, each, (0.0, 1.0)))]
 
 
 def _covered(path: ReflectedPaths, wavelength: float) -> Floats:

@@ -13,13 +13,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from ullage.arrays import Bools, Complexes, Floats, Longs
+from ullage.arrays import Bools, Floats, Longs
 from ullage.kernels import beams as kernel
 from ullage.kernels import bounces
 from ullage.kernels import outlines as draw
 from ullage.kernels.edges import CutLimits, FaceOutlines
 from ullage.kernels.facets import LitFaces, Transmission
-from ullage.radar.context import AntennaPair, RadarContext
+from ullage.radar.context import AntennaPair, RadarFrame
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.mirrors import Beams
@@ -37,37 +37,17 @@ EXCESS_M = 0.5
 """Edges whose path exceeds the mirror path by more are left out [m]."""
 
 
-def accumulate_bounces(
-    context: RadarContext,
-    parts: list[Surfaces],
-    planar: PlanarPatches,
-    antennas: AntennaPair,
-    max_bounces: int,
-    sizes: Floats,
-    grids: Complexes,
-) -> list[EchoSet]:
-    """Add the echoes of two to `max_bounces` bounces between flat faces to the delay grids (3, g).
-
-    A wave meets the mirrors before the face that is integrated over. Where the antennas differ, each sends half: by
-    reciprocity, the reversed radar gives the waves that meet that face first.
-
-    Args:
-        context: what all frames share.
-        parts: everything that can hide a path.
-        planar: the flat faces (p).
-        antennas: the radar.
-        max_bounces: 2 or more.
-        sizes: (p) apparent size of each face.
-        grids: delay grids, added to.
-    """
-    if len(planar) < 2:
+def accumulate_bounces(frame: RadarFrame) -> list[EchoSet]:
+    """Add the echoes of two bounces and more over flat faces to the delay grids."""
+    antennas = frame.antennas
+    if len(frame.planar) < 2:
         return []
     half = replace(antennas, factor=0.5 * antennas.factor)
     out: list[EchoSet] = []
     for radar, back in ((antennas, False),) if antennas.reversible else ((half, False), (half.swapped(), True)):
-        beams = beams_of(context, planar, radar, max_bounces, sizes)
+        beams = beams_of(frame, radar)
         if len(beams):
-            echoes = _accumulate(context, parts, planar, radar, beams, grids)
+            echoes = _accumulate(frame, radar, beams)
             out.append(_reversed(echoes) if back else echoes)
     return out
 
@@ -82,12 +62,11 @@ def _reversed(echoes: EchoSet) -> EchoSet:
     return replace(echoes, via=via, before=np.zeros(len(via), np.int64))
 
 
-def beams_of(
-    context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, max_bounces: int, sizes: Floats
-) -> Beams:
-    """Trace all beams of two to `max_bounces` bounces over the mirrors of the largest apparent sizes (p)."""
-    chosen = _chosen(planar, sizes, context.gate[1], context.spec.wavelength_m)
-    return trace(planar, antennas, max_bounces, context.gate[1], chosen)
+def beams_of(frame: RadarFrame, antennas: AntennaPair) -> Beams:
+    """Trace all beams of two bounces and more over the mirrors of the largest apparent sizes."""
+    planar, gate_m = frame.planar, frame.context.gate[1]
+    chosen = _chosen(planar, frame.sizes, gate_m, frame.context.spec.wavelength_m)
+    return trace(planar, antennas, frame.max_bounces, gate_m, chosen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,17 +98,6 @@ def _wide(planar: PlanarPatches, least_m: float) -> Bools:
     return np.asarray(~(planar.smooth & (planar.widths.min(1, initial=np.inf) < least_m)))
 
 
-def apparent_sizes(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair) -> Floats:
-    """Compute the apparent size of each face (p) from the nearest antenna; 0 beyond the gate.
-
-    It is reduced for faces smaller than a Fresnel zone.
-    """
-    origins = antennas.origins[:1] if antennas.monostatic else antennas.origins
-    out = np.empty(len(planar))
-    kernel.apparent_sizes(planar.spheres, planar.widths, origins, context.gate[1], context.spec.wavelength_m, out)
-    return out
-
-
 def choose_largest(sizes: Floats, count: int | None = None) -> tuple[Longs, Floats]:
     """Choose the largest of some sizes (n), fewer than `count` (`MIRRORS`), and weigh all of them (n)."""
     which, weights = np.empty(len(sizes), np.int64), np.empty(len(sizes))
@@ -159,15 +127,9 @@ def trace(planar: PlanarPatches, antennas: AntennaPair, bounces_: int, gate_m: f
     return Beams(out.images[:made], faces_, on, out.first[: made + 1], out.edges[:used], weights)
 
 
-def _accumulate(
-    context: RadarContext,
-    parts: list[Surfaces],
-    planar: PlanarPatches,
-    antennas: AntennaPair,
-    beams: Beams,
-    grids: Complexes,
-) -> EchoSet:
+def _accumulate(frame: RadarFrame, antennas: AntennaPair, beams: Beams) -> EchoSet:
     """Add the echoes of beams (b) to the delay grids."""
+    context, planar = frame.context, frame.planar
     gate = np.array(context.gate[1:])
     on, starts, ends = beams.ends_on, np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])
     normals, offsets, spheres = planar.normals.take(on, 0), planar.offsets[on], planar.spheres.take(on, 0)
@@ -196,14 +158,14 @@ def _accumulate(
         imaged, bounces.ReflectScratch(np.empty((2, 3)), np.empty(3, complex)),
     )  # fmt: skip
     strong = strengths(context, planar, antennas, beams, path, factor)
-    factor *= shares(context, planar, antennas, beams, path, strong, lambda *asked: clear(parts, *asked))
+    factor *= shares(context, planar, antennas, beams, path, strong, lambda *asked: clear(frame.parts, *asked))
     plain = np.full(many, len(context.gamma) - 1, np.int32)
     radars = context.antennas(antennas)._replace(
         origins=origins, frames=imaged.frames, fields=imaged.fields, factor=factor
     )
     between = Transmission((factor != 0).astype(complex)[owner], np.zeros(len(owner)))
     lit_faces = LitFaces(normals, plain, radars, context.reflection)
-    echoes = accumulate_outline(outline, points, which, between, lit_faces, context.pulse_grid, grids)
+    echoes = accumulate_outline(frame, outline, points, which, between, lit_faces)
     via = np.where(beams.chains >= 0, planar.object_ids[beams.chains], -1)
     return replace(echoes, object_ids=planar.object_ids[on][owner], via=via[owner])
 

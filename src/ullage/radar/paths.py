@@ -21,9 +21,9 @@ from ullage.kernels import paths as kernel
 from ullage.kernels.bounces import Orientations
 from ullage.kernels.facets import Antennas
 from ullage.kernels.lit import MirrorPaths
-from ullage.radar.context import AntennaPair, RadarContext
+from ullage.radar.context import RadarFrame
 from ullage.radar.echo_set import EchoSet
-from ullage.radar.facets import PlanarPatches, Surfaces
+from ullage.radar.facets import PlanarPatches
 from ullage.radar.multipath import choose_largest
 from ullage.radar.visibility import between
 
@@ -82,15 +82,16 @@ class PathSet:
                               factor=radar.factor * self.weights[some])  # fmt: skip
 
 
-def paths_of(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, most: int, sizes: Floats) -> PathSet:
-    """Find the paths of two to `most` bounces over the faces of the largest apparent sizes (p).
+def paths_of(frame: RadarFrame) -> PathSet:
+    """Find the paths of two bounces and more over the faces of the largest apparent sizes.
 
     Faces fade in as mirrors do. Facets of curved surfaces do not reflect here. Paths that lead beyond the gate are left
     out.
     """
-    sizes = sizes * ~planar.smooth
+    planar, antennas = frame.planar, frame.antennas
+    sizes = frame.sizes * ~planar.smooth
     first = largest(sizes, FACES)
-    counts = [FACES if bounces == 2 else PAIRS for bounces in range(2, min(most, max(_CHAINS)) + 1)]
+    counts = [FACES if bounces == 2 else PAIRS for bounces in range(2, min(frame.max_bounces, max(_CHAINS)) + 1)]
     taken = [choose_largest(sizes[first], count) for count in counts]
     one = antennas.reversible
     rows, over, twice, legs = _rows(tuple(len(which) for which, _ in taken), one)
@@ -102,7 +103,7 @@ def paths_of(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair
     kernel.lead(faces, Orientations(antennas.frames, antennas.fields), antennas.origins, flat_faces(planar),
                 kernel.FaceExtents(planar.spheres, planar.across), out, np.empty((2, 2)))  # fmt: skip
     via = np.where(chosen >= 0, planar.object_ids[chosen], -1)[over]
-    held = out.reach <= context.gate[1]
+    held = out.reach <= frame.context.gate[1]
     all_ = (faces, via, legs, twice * shares[rows].prod((1, 2)), out.images, out.frames, out.planes, out.counts)
     return PathSet(*(all_ if held.all() else (row[held] for row in all_)))
 
@@ -161,9 +162,7 @@ class Reached:
     free: Bools  # (m) whether both legs meet their faces and are free
 
 
-def reached(
-    parts: list[Surfaces], planar: PlanarPatches, paths: PathSet, of: Longs, points: Floats, at: Longs | None = None
-) -> Reached:
+def reached(frame: RadarFrame, paths: PathSet, of: Longs, points: Floats, at: Longs | None = None) -> Reached:
     """Follow both legs of paths (m) to points (m, 3) [m], or to the points whose places are `at` (m).
 
     Each leg to a point is followed once: the leg back first, the leg there only where that is free.
@@ -175,7 +174,7 @@ def reached(
     many = 3 * len(of)
     (a, b), owner = np.empty((2, many, 3)), np.empty(many, np.int64)
     made, pairs, legs = 0, kernel.PathPoints(points, at, of), kernel.KnownLegs(known, rows, stops, free)
-    segments, flat = kernel.Segments(a, b, owner), flat_faces(planar)
+    segments, flat, parts = kernel.Segments(a, b, owner), flat_faces(frame.planar), frame.parts
     for side in (1, 0):
         made, count, others = kernel.corners(side, made, pairs, paths.over_mirrors, flat, legs, segments)
         free[owner[:count][~between(parts, a[:count], b[:count])]] = False

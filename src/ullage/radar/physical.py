@@ -8,7 +8,6 @@ turns it by pi.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -16,33 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage import checks
-from ullage.arrays import Bools, Complexes, Floats, Singles
+from ullage.arrays import Bools, Complexes, Singles
 from ullage.data import Trajectory
 from ullage.geometry import C0, quat_matrix
-from ullage.kernels import pulse as pulses
 from ullage.kernels import wires as string
 from ullage.kernels.facets import EchoSums, Transmission, TrianglePieces
-from ullage.kernels.near import LEAST_M
-from ullage.radar.context import (
-    KAPPA,
-    REACH,
-    AntennaPair,
-    RadarContext,
-    accumulate_triangles,
-    antenna_pair,
-    grown,
-    radar_contexts,
-    transmission_to,
-    triangles,
-)
+from ullage.radar.context import KAPPA, REACH, RadarFrame, frames_at, grown, radar_contexts, triangles
 from ullage.radar.creeping import accumulate_creeping, rods
 from ullage.radar.curves import accumulate_curves
 from ullage.radar.cylinder_correction import accumulate_cylinder_corrections
 from ullage.radar.echo_set import EchoSet, centroids, echo_set
 from ullage.radar.edge_diffraction import accumulate_edges
-from ullage.radar.facets import Surfaces, joined
+from ullage.radar.facets import Surfaces
 from ullage.radar.fermat import accumulate_fermat
-from ullage.radar.multipath import accumulate_bounces, apparent_sizes
+from ullage.radar.multipath import accumulate_bounces
 from ullage.radar.patch_echoes import accumulate_curved
 from ullage.radar.paths import paths_of
 from ullage.radar.planar import accumulate_planar
@@ -76,11 +62,9 @@ def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int 
     turns, poses = quat_matrix(path.quat_xyzw), contexts[0].poses(path)
     out = np.zeros((len(path), spec.bins), complex)
     for i in range(len(path)):
-        for context in contexts:
-            grids = np.zeros((3, context.places), complex)
-            antennas = antenna_pair(spec, path.position[i], turns[i], context.patterns)
-            accumulate(context, antennas, poses[i], max_bounces, grids)
-            pulses.convolve(grids, context.pulse.taps, context.pulse.every, context.shift, out[i])
+        for frame in frames_at(contexts, path.position[i], turns[i], poses[i], max_bounces):
+            accumulate(frame)
+            frame.add_range_bins(out[i])
         out[i] *= passive(out[i])
     if spec.output == "rf":
         return radio(out, spec)
@@ -102,84 +86,53 @@ def radio(baseband: Complexes, spec: RadarSpec) -> Singles:
     return np.asarray((baseband * np.exp(1j * phase)).real, np.float32)
 
 
-def accumulate(
-    context: RadarContext, antennas: AntennaPair, poses: Floats | None, max_bounces: int, grids: Complexes
-) -> list[EchoSet]:
-    """Adds every echo at one pose to the delay grids; `poses` (o, 4, 4) of the objects where any moves."""
-    parts = context.world.parts(poses)
-    antennas = _off(parts, antennas)
-    out, done = accumulate_curved(context, parts, antennas, poses, grids)
-    for part, (small, large) in zip(parts, done, strict=True):
+def accumulate(frame: RadarFrame) -> list[EchoSet]:
+    """Add every echo of a frame to its delay grids."""
+    context, planar = frame.context, frame.planar
+    out, done = accumulate_curved(frame)
+    for part, (small, large) in zip(frame.parts, done, strict=True):
         if len(part.corners):
-            out.append(_accumulate_small(context, parts, part, antennas, grids, small))
-        out += accumulate_planar(context, parts, part, antennas, grids, large)
-    quadrics = context.world.quadrics_at(poses)
-    corrections = accumulate_cylinder_corrections(context, parts, quadrics, antennas, grids) if quadrics else []
+            out.append(_accumulate_small(frame, part, small))
+        out += accumulate_planar(frame, part, large)
+    corrections = accumulate_cylinder_corrections(frame) if frame.quadrics else []
     out += corrections
     if not context.plain:
-        out += accumulate_creeping(context, parts, antennas, poses, grids)
+        out += accumulate_creeping(frame)
     for lines in (context.lines,) if context.plain else (context.lines, rods(context)):
         if len(lines):
-            out += _accumulate_wires(context, lines, parts, antennas, poses, grids)
+            out += _accumulate_wires(frame, lines)
     if len(context.outlines.edges):
-        out += accumulate_edges(context, parts, antennas, poses, grids)
+        out += accumulate_edges(frame)
     if context.world.rough:
-        out.append(accumulate_diffuse_scatterers(context, parts, antennas, poses, grids))
-    if max_bounces > 1:
-        planar = joined([part.planar for part in parts])
-        sizes = apparent_sizes(context, planar, antennas)
-        out += accumulate_bounces(context, parts, planar, antennas, max_bounces, sizes, grids)
+        out.append(accumulate_diffuse_scatterers(frame))
+    if frame.max_bounces > 1:
+        out += accumulate_bounces(frame)
         # corrections rise with f, and only the sum is an echo
-        peak = float(abs(grids.sum(0) if corrections else grids).max())
-        curved = bool(planar.smooth.any()) or any(len(part.corners) for part in parts)
+        peak = float(abs(frame.grids.sum(0) if corrections else frame.grids).max())
+        curved = bool(planar.smooth.any()) or any(len(part.corners) for part in frame.parts)
         if not planar.smooth.all() and (len(context.lines) or curved):
-            paths = paths_of(context, planar, antennas, max_bounces, sizes)
+            paths = paths_of(frame)
             if curved:
-                out += accumulate_curves(context, parts, planar, antennas, paths, peak, grids)
+                out += accumulate_curves(frame, paths, peak)
             if len(context.lines):
-                out += accumulate_wire_bounces(context, parts, planar, antennas, poses, paths, grids)
-        if quadrics:
-            out += accumulate_walls(context, parts, quadrics, planar, antennas, max_bounces, sizes, grids)
-            out += accumulate_inside(context, parts, antennas, max_bounces, grids)
-            out += accumulate_fermat(context, parts, quadrics, planar, antennas, max_bounces, sizes, grids)
+                out += accumulate_wire_bounces(frame, paths)
+        if frame.quadrics:
+            out += accumulate_walls(frame)
+            out += accumulate_inside(frame)
+            out += accumulate_fermat(frame)
     return out
 
 
-def _off(parts: list[Surfaces], antennas: AntennaPair) -> AntennaPair:
-    """The radar `LEAST_M` off the planes of all flat faces that it is in: on a face there is no side to be on.
-
-    What lies in a plane to 1 nm comes to stand in front of it.
-    """
-    origins = antennas.origins
-    for part in parts:
-        normals, offsets = part.planar.normals, part.planar.offsets
-        some = origins[:1] if antennas.monostatic else origins
-        gaps = np.array([normals @ origin for origin in some]) - offsets
-        close = np.repeat(abs(gaps) < LEAST_M, 3 - len(some), 0)
-        if close.any():
-            origins = origins.copy()
-            for s, p in np.argwhere(close):
-                gap = float(normals[p] @ origins[s] - offsets[p])
-                origins[s] += ((LEAST_M if gap > -1e-9 else -LEAST_M) - gap) * normals[p]
-    return antennas if origins is antennas.origins else replace(antennas, origins=origins)
-
-
-def _accumulate_wires(
-    context: RadarContext,
-    lines: Lines,
-    parts: list[Surfaces],
-    antennas: AntennaPair,
-    poses: Floats | None,
-    grids: Complexes,
-) -> list[EchoSet]:
-    starts, ends = placed(lines, poses)
+def _accumulate_wires(frame: RadarFrame, lines: Lines) -> list[EchoSet]:
+    context, origins, radar = frame.context, frame.antennas.origins, frame.radar
+    starts, ends = placed(lines, frame.poses)
     gate, fresnel = np.array(context.gate), KAPPA * context.spec.wavelength_m
     pieces, owner = grown(2048, (2, 3), lambda out, of: string.cut_wires(
-        starts, ends, antennas.origins[None], gate, fresnel, REACH, out, of))  # fmt: skip
+        starts, ends, origins[None], gate, fresnel, REACH, out, of))  # fmt: skip
     if not len(pieces):
         return []
     middle = 0.5 * (pieces[:, 0] + pieces[:, 1])
-    wires, radar = string.WirePieces(pieces, owner, lines.radii, lines.series), context.antennas(antennas)
+    wires = string.WirePieces(pieces, owner, lines.radii, lines.series)
 
     def put(between: Transmission, sums: EchoSums) -> None:
         string.accumulate_wires(wires, between, radar, context.pulse_grid, sums)
@@ -187,28 +140,20 @@ def _accumulate_wires(
     covers, axes = lines.covers[owner], pieces[:, 1] - pieces[:, 0]
     if covers.any():  # ask before the mesh, on the radar's side; inside it there is nothing to ask
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-        away = antennas.origins.mean(0) - middle
+        away = origins.mean(0) - middle
         away -= np.einsum("ni,ni->n", away, axes)[:, None] * axes
         level = np.linalg.norm(away, axis=1)
         middle = middle + ((covers + PULL_M) / np.maximum(level, 1e-9))[:, None] * away
-    between = transmission_to(context, parts, antennas, middle)
+    between = frame.transmission_to(middle)
     if covers.any():
         between = between._replace(factor=between.factor * (level > covers))
-    return [echo_set(put, between, grids, lines.object_ids[owner], middle)]
+    return [echo_set(put, between, frame.grids, lines.object_ids[owner], middle)]
 
 
-def _accumulate_small(
-    context: RadarContext,
-    parts: list[Surfaces],
-    part: Surfaces,
-    antennas: AntennaPair,
-    grids: Complexes,
-    done: Bools | None,
-) -> EchoSet:
-    leaves, owner = triangles(context, part, antennas, done)
-    between = transmission_to(context, parts, antennas, centroids(leaves))
+def _accumulate_small(frame: RadarFrame, part: Surfaces, done: Bools | None) -> EchoSet:
+    leaves, owner = triangles(frame, part, done)
     pieces = TrianglePieces(leaves, owner, np.zeros(len(owner), np.int64))
-    return accumulate_triangles(context, pieces, context.lit(antennas, part), between, grids)
+    return frame.accumulate_triangles(pieces, frame.lit(part), frame.transmission_to(centroids(leaves)))
 
 
 @lru_cache(maxsize=8)
@@ -240,10 +185,8 @@ def path_gain_cw(
     turns, poses = quat_matrix(pose.quat_xyzw), contexts[0].poses(pose)
     out = np.zeros(len(pose), complex)
     for i in range(len(pose)):
-        for context in contexts:
-            grids = np.zeros((3, context.places), complex)
-            antennas = antenna_pair(spec, pose.position[i], turns[i], context.patterns)
-            accumulate(context, antennas, poses[i], max_bounces, grids)
-            out[i] += grids.sum() * context.carrier
+        for frame in frames_at(contexts, pose.position[i], turns[i], poses[i], max_bounces):
+            accumulate(frame)
+            out[i] += frame.grids.sum() * frame.context.carrier
         out[i] *= passive(out[i : i + 1])
     return out

@@ -13,8 +13,8 @@ from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels import edges as kernel
 from ullage.kernels import outlines as draw
 from ullage.kernels.edges import CutLimits, FaceOutlines, Outline
-from ullage.kernels.facets import EchoSums, LitFaces, PulseGrid, Transmission
-from ullage.radar.context import AntennaPair, RadarContext, transmission_to
+from ullage.kernels.facets import EchoSums, LitFaces, Transmission
+from ullage.radar.context import RadarFrame
 from ullage.radar.echo_set import EchoSet, echo_set
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.folding import limits_of
@@ -59,47 +59,29 @@ def face_outlines(planar: PlanarPatches | Outlined) -> FaceOutlines:
     return FaceOutlines(planar.spheres, planar.normals, planar.offsets, planar.first, planar.starts, planar.ends)
 
 
-def outlines(
-    context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, which: Longs, limits: Floats
-) -> Outline:
-    """Cut the outlines of some faces, each as far as its limit (p) [m]."""
-    follow = CutLimits(limits, 1e9, context.pulse.omega, context.whole_outlines)
-    return cut_outlines(which, face_outlines(planar), antennas.origins[None], antennas.aside, follow)
-
-
-def accumulate_planar(
-    context: RadarContext,
-    parts: list[Surfaces],
-    part: Surfaces,
-    antennas: AntennaPair,
-    grids: Complexes,
-    done: Bools | None = None,
-) -> list[EchoSet]:
+def accumulate_planar(frame: RadarFrame, part: Surfaces, done: Bools | None = None) -> list[EchoSet]:
     """Add the echoes of flat faces within the frame, and of those beyond that fold back into it.
 
     Those that are `done` (p) otherwise are left out.
     """
-    planar = part.planar
+    context, antennas, planar = frame.context, frame.antennas, part.planar
     opaque = ~context.transmissive.thin[planar.object_ids]
     hidden = part.flat_backs.hidden(antennas.origins, opaque)
     which = np.flatnonzero(~(hidden if done is None else hidden | done))
     if not len(which):
         return []
     limits = limits_of(planar, antennas, context.gate[1], context.fold_s)
-    outline = outlines(context, planar, antennas, which, limits)
-
-    casters = [one.casters(context.transmissive.thin)[0] for one in parts]
+    follow = CutLimits(limits, 1e9, context.pulse.omega, context.whole_outlines)
+    outline = cut_outlines(which, face_outlines(planar), antennas.origins[None], antennas.aside, follow)
+    casters = [one.casters(context.transmissive.thin)[0] for one in frame.parts]
     view = OpaqueView(casters, 0.5 * (antennas.origins[0] + antennas.origins[1]))
-
-    def to_points(points: Floats, _: NDArray[np.integer]) -> tuple[Complexes, Floats]:
-        return transmission_to(context, parts, antennas, points)
 
     def past_borders(points: Floats, which: Longs, free: Bools) -> Complexes:
         mirrors = MirrorPoints(points, which, free)
         return echo_shares(mirrors, face_outlines(planar), planar.across, context.spec.wavelength_m, view)
 
-    shading, lit = Shading(to_points, past_borders), context.lit(antennas, planar)
-    return [accumulate_parted(context, planar, which, outline, limits, shading, lit, grids)[0]]
+    shading = Shading(lambda points, _: frame.transmission_to(points), past_borders)
+    return [accumulate_parted(frame, planar, which, outline, limits, shading, frame.lit(planar))[0]]
 
 
 class Shading(NamedTuple):
@@ -128,15 +110,9 @@ class Outlined:
 
 
 def accumulate_parted(
-    context: RadarContext,
-    planar: PlanarPatches | Outlined,
-    which: Longs,
-    outline: Outline,
-    limits: Floats,
-    shading: Shading,
-    lit: LitFaces,
-    grids: Complexes,
-) -> tuple[EchoSet, Longs]:
+    frame: RadarFrame, planar: PlanarPatches | Outlined, which: Longs, outline: Outline, limits: Floats,
+    shading: Shading, lit: LitFaces,
+) -> tuple[EchoSet, Longs]:  # fmt: skip
     """Add the echoes of some faces (k) whose outlines are cut: of their mirror points, pieces and ends.
 
     Returns:
@@ -148,7 +124,7 @@ def accumulate_parted(
     )
     points, which = points[:count], which[:count]
     zone = _ZONE if shading.past_borders is None else _WIDE
-    looks, owner, seats, open_, looked = _looks(context, planar, outline, points, which, zone)
+    looks, owner, seats, open_, looked = _looks(frame.context.spec.wavelength_m, planar, outline, points, which, zone)
     transmission, extra = shading.to_points(looks, owner)
     if len(points):
         about = transmission[looked:], extra[looked:], open_
@@ -160,29 +136,22 @@ def accumulate_parted(
     else:
         transmission, extra = transmission[seats], extra[seats]
     between = Transmission(transmission, extra)
-    echoes = accumulate_outline(outline, points, which, between, lit, context.pulse_grid, grids)
+    echoes = accumulate_outline(frame, outline, points, which, between, lit)
     return echoes, np.concatenate([outline.owner, outline.holders, which])
 
 
 def accumulate_outline(
-    outline: Outline,
-    points: Floats,
-    which: Longs,
-    between: Transmission,
-    lit: LitFaces,
-    pulse: PulseGrid,
-    grids: Complexes,
+    frame: RadarFrame, outline: Outline, points: Floats, which: Longs, between: Transmission, lit: LitFaces
 ) -> EchoSet:
     """Add the echoes of outlines and of mirror points to the delay grids.
 
     Args:
+        frame: the frame.
         outline: pieces (m) and ends (n) of outlines.
         points: (k, 9) mirror points, as `outlines.crossings` gives them.
         which: (k) face of each mirror point.
         between: what lies before the pieces, then the ends, then the mirror points (m + n + k).
         lit: the faces, and the radars that see them.
-        pulse: carrier and delay grid.
-        grids: (3, g) delay grids, added to.
     """
     owner = np.concatenate([outline.owner, outline.holders, which.astype(np.int32)])
     ends = np.concatenate([outline.tips, points])
@@ -190,23 +159,18 @@ def accumulate_outline(
     known = draw.KnownEnd(np.empty(TAPS, complex), np.empty(TAPS))
 
     def put(between: Transmission, sums: EchoSums) -> None:
-        draw.accumulate_outlines(echoes, lit, between, pulse, sums, known)
+        draw.accumulate_outlines(echoes, lit, between, frame.context.pulse_grid, sums, known)
 
     def places() -> Floats:
         return np.concatenate([0.5 * (outline.pieces[:, :3] + outline.pieces[:, 3:6]), ends[:, :3]])
 
     rays = np.zeros(len(owner), np.bool_)
     rays[len(owner) - len(points) :] = True
-    return echo_set(put, between, grids, lit.materials[owner], places, rays=rays)
+    return echo_set(put, between, frame.grids, lit.materials[owner], places, rays=rays)
 
 
 def _looks(
-    context: RadarContext,
-    planar: PlanarPatches | Outlined,
-    outline: Outline,
-    points: Floats,
-    which: Longs,
-    zone: Floats,
+    wave_m: float, planar: PlanarPatches | Outlined, outline: Outline, points: Floats, which: Longs, zone: Floats
 ) -> tuple[Floats, Longs, Longs, Bools, int]:
     """Find where to look: at pieces and ends of rims, and at places of a zone (z, 2) around each mirror point (k).
 
@@ -218,7 +182,7 @@ def _looks(
     spots, faces = np.empty((most + about, 3)), np.empty(most + about, np.int64)
     seats, within = np.empty(most, np.int64), np.empty((len(points), len(zone)), np.bool_)
     count = draw.look_at(outline, planar.normals, _NUDGE_M, draw.Spots(spots, faces), seats)
-    rest, wave_m = draw.Spots(spots[count:], faces[count:]), context.spec.wavelength_m
+    rest = draw.Spots(spots[count:], faces[count:])
     made = count + draw.look_about(points, which, face_outlines(planar), planar.across, zone, wave_m, rest, within)
     return spots[:made], faces[:made], seats, within, count
 

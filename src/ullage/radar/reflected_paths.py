@@ -14,7 +14,7 @@ from ullage.kernels import impulses as kernel
 from ullage.kernels.facets import LitFaces
 from ullage.kernels.fermat import CYLINDER
 from ullage.kernels.outlines import weigh
-from ullage.radar.context import AntennaPair, RadarContext
+from ullage.radar.context import AntennaPair, RadarContext, RadarFrame
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
 from ullage.radar.reflectors import PULL_M, ReflectorSet
@@ -116,12 +116,10 @@ def reflection_gains(context: RadarContext, antennas: AntennaPair, path: Reflect
     return out
 
 
-def scattered(
-    context: RadarContext, antennas: AntennaPair, object_ids: Longs, points: Floats, normals: Floats
-) -> Complexes:
+def scattered(frame: RadarFrame, object_ids: Longs, points: Floats, normals: Floats) -> Complexes:
     """Compute the products (n) of antenna gains, reflection and cos(incidence) at points (n, 3) of surfaces [m]."""
-    lit = LitFaces(np.ascontiguousarray(normals), object_ids.astype(np.int32), context.antennas(antennas),
-                   context.reflection._replace(gamma=context.bounce))  # fmt: skip
+    reflection = frame.context.reflection._replace(gamma=frame.context.bounce)
+    lit = LitFaces(np.ascontiguousarray(normals), object_ids.astype(np.int32), frame.radar, reflection)
     out = np.empty(len(points), complex)
     weigh(points, lit, out)
     return out
@@ -169,13 +167,13 @@ class PathSum:
     shares: tuple[float, float]  # as of `accumulate`
 
 
-def accumulate_paths(context: RadarContext, paths: ReflectedPaths, parts: PathSum, grids: Complexes) -> EchoSet:
+def accumulate_paths(frame: RadarFrame, paths: ReflectedPaths, parts: PathSum) -> EchoSet:
     """Add a sum over paths to the grids; return one echo for each path (m) that leads.
 
     The last reflector that is no flat face scatters the wave, and the others are on the way.
     """
     delay, count, many = parts.lengths / C0, len(parts.leads), len(paths.on)
-    echo, each = accumulate(context, delay, parts.values, grids, parts.shares), np.arange(len(parts.leads))
+    echo, each = accumulate(frame.context, delay, parts.values, frame.grids, parts.shares), np.arange(len(parts.leads))
     total = np.bincount(parts.led, echo.real, count) + 1j * np.bincount(parts.led, echo.imag, count)
     at = many - 1 - (~paths.reflectors.flat[paths.on[::-1]]).argmax(0)
     object_ids = paths.reflectors.object_ids[paths.on]
@@ -184,7 +182,7 @@ def accumulate_paths(context: RadarContext, paths: ReflectedPaths, parts: PathSu
         via[:, s] = object_ids[np.where(at <= s, s + 1, s), each]
 
     def again(factors: Complexes, others: Complexes) -> None:
-        accumulate(context, delay, parts.values * factors[parts.led], others, parts.shares)
+        accumulate(frame.context, delay, parts.values * factors[parts.led], others, parts.shares)
 
     return EchoSet(object_ids[at, each].astype(np.int32), paths.corners[1 + at, each], total, delay[parts.leads],
                    again, via, at)  # fmt: skip

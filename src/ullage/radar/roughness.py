@@ -19,9 +19,8 @@ from ullage.arrays import Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import diffuse_scatterers as kernel
 from ullage.kernels.facets import EchoSums, Transmission
-from ullage.radar.context import AntennaPair, RadarContext, transmission_to
+from ullage.radar.context import RadarContext, RadarFrame
 from ullage.radar.echo_set import EchoSet, echo_set
-from ullage.radar.facets import Surfaces
 from ullage.radar.penetration import COSINES, reflection_tables
 from ullage.radar.prepared import Prepared
 from ullage.radar.wires import moved
@@ -137,30 +136,29 @@ def spectrum(material: Material, wave: float, cosine: Floats, sine: Floats | Non
                      for g, s in zip(variance, across, strict=True)])  # fmt: skip
 
 
-def accumulate_diffuse_scatterers(
-    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, poses: Floats | None, grids: Complexes
-) -> EchoSet:
-    """Add the echoes of rough surfaces' scatterers to the delay grids; `poses` (o, 4, 4) of objects if any moves."""
+def accumulate_diffuse_scatterers(frame: RadarFrame) -> EchoSet:
+    """Add the echoes of rough surfaces' scatterers to the delay grids."""
+    context, radar, poses = frame.context, frame.radar, frame.poses
     diffuse_scatterers = diffuse_scatterers_of(context.world, context.seed)
     if poses is not None:
         (points,) = moved((diffuse_scatterers.points,), diffuse_scatterers.object_ids, poses)
         (normals,) = moved((diffuse_scatterers.normals,), diffuse_scatterers.object_ids, poses, turn_only=True)
         diffuse_scatterers = replace(diffuse_scatterers, points=points, normals=normals)
     at = diffuse_scatterers.points[diffuse_scatterers.middles]
-    gap = np.linalg.norm(at - antennas.origins.mean(0), axis=1)
+    gap = np.linalg.norm(at - frame.antennas.origins.mean(0), axis=1)
     near = np.flatnonzero((gap > context.gate[0] - TILE_M) & (gap < context.gate[1] + TILE_M))
     transmission, extra = np.zeros(len(at), complex), np.zeros(len(at))
     if len(near):
-        transmission[near], extra[near] = transmission_to(context, parts, antennas, at[near])
+        transmission[near], extra[near] = frame.transmission_to(at[near])
     tiles = kernel.ScattererTiles(diffuse_scatterers.points, diffuse_scatterers.normals, diffuse_scatterers.weights,
                                   diffuse_scatterers.object_ids, diffuse_scatterers.first)  # fmt: skip
-    lobes, radar = _lobes(context), context.antennas(antennas)
+    lobes = _lobes(context)
 
     def put(between: Transmission, sums: EchoSums) -> None:
         kernel.accumulate_diffuse_scatterers(tiles, lobes, between, radar, context.pulse_grid, sums)
 
     between = Transmission(transmission, extra)
-    return echo_set(put, between, grids, diffuse_scatterers.object_ids[diffuse_scatterers.middles], at)
+    return echo_set(put, between, frame.grids, diffuse_scatterers.object_ids[diffuse_scatterers.middles], at)
 
 
 def _lobes(context: RadarContext) -> Floats:

@@ -17,9 +17,8 @@ import numpy as np
 
 from ullage.arrays import Bools, Complexes, Floats
 from ullage.geometry import C0
-from ullage.radar.context import AntennaPair, RadarContext, transmission_to
+from ullage.radar.context import AntennaPair, RadarContext, RadarFrame
 from ullage.radar.echo_set import EchoSet
-from ullage.radar.facets import Surfaces
 from ullage.radar.reflected_paths import accumulate, scattered
 from ullage.radar.reflectors import PULL_M
 from ullage.radar.spheres import Sphere
@@ -110,48 +109,38 @@ def _reach(sphere: Sphere, away: float, axis: Floats) -> tuple[float, float]:
     return float(near), float(far)
 
 
-def accumulate_spheres(
-    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, grids: Complexes
-) -> tuple[list[EchoSet], tuple[Bools | None, Bools | None]]:
+def accumulate_spheres(frame: RadarFrame) -> tuple[list[EchoSet], tuple[Bools | None, Bools | None]]:
     """Add the echoes of spheres and domes at rest to the delay grids.
-
-    Args:
-        context: radar and scene.
-        parts: surfaces at rest and moving surfaces.
-        antennas: pose of the radar.
-        grids: (3, g) complex, added to.
 
     Returns:
         The echoes, and masks of the small triangles (f) and flat faces (p) at rest that they replace.
     """
-    visible = visible_parts(context, antennas) if context.world.spheres else []
+    visible = visible_parts(frame.context, frame.antennas) if frame.context.world.spheres else []
     if not visible:
         return [], (None, None)
-    echoes = [echo for part in visible if (echo := _echoes_of(context, parts, part, antennas, grids)) is not None]
+    echoes = [echo for part in visible if (echo := _echoes_of(frame, part)) is not None]
     small = np.logical_or.reduce([part.sphere.small for part in visible])
     return echoes, (small, np.logical_or.reduce([part.sphere.planar for part in visible]))
 
 
-def _echoes_of(
-    context: RadarContext, parts: list[Surfaces], part: SpherePart, antennas: AntennaPair, grids: Complexes
-) -> EchoSet | None:
-    sphere, wavelength = part.sphere, context.spec.wavelength_m
+def _echoes_of(frame: RadarFrame, part: SpherePart) -> EchoSet | None:
+    context, sphere, wavelength = frame.context, part.sphere, frame.context.spec.wavelength_m
     rings = _ring_ranges(part.low, part.high)
     around = np.asarray((np.arange(_AROUND) + 0.5) * (2 * np.pi / _AROUND), np.float64)
     points = part.points(rings, around)
     present = sphere.holds(points)
-    integrand = _integrand(context, antennas, part, sphere.centre + points)
+    integrand = _integrand(frame, part, sphere.centre + points)
     series = np.fft.fft(integrand, axis=1)[:, np.arange(-_MOST, _MOST + 1)] / _AROUND
     series = series * np.exp(-1j * np.arange(-_MOST, _MOST + 1) * around[0])
     size = np.asarray(abs(integrand), np.float64)
-    free, late = _transmission(context, parts, part, antennas, points, present, size)
+    free, late = _transmission(frame, part, points, present, size)
     if not free.any():
         return None
     ranges, weights = _panels(part, wavelength / 4)
     mean = _sum_rings(part, ranges, _interpolate(rings, series * free[:, None], ranges))
     delay = 2 * ranges / C0 + np.interp(ranges, rings, late)
-    value = 1j / (4 * np.pi) * antennas.factor * weights * sphere.radius / part.away * ranges * mean
-    echo = accumulate(context, delay, value, grids, (1.0, 0.0))
+    value = 1j / (4 * np.pi) * frame.antennas.factor * weights * sphere.radius / part.away * ranges * mean
+    echo = accumulate(context, delay, value, frame.grids, (1.0, 0.0))
     at = np.clip(np.searchsorted(rings, ranges) - 1, 0, len(rings) - 2)
     up = (ranges - rings[at]) / np.maximum(rings[at + 1] - rings[at], 1e-12)
     up = up * up * (3 - 2 * up)  # blend the rings, since hard ends would echo
@@ -173,32 +162,26 @@ def _ring_ranges(low: float, high: float) -> Floats:
     return np.asarray(low * (high / low) ** share)
 
 
-def _integrand(context: RadarContext, antennas: AntennaPair, part: SpherePart, points: Floats) -> Complexes:
+def _integrand(frame: RadarFrame, part: SpherePart, points: Floats) -> Complexes:
     """Compute the integrand (n, m) at points (n, m, 3) of a sphere, without the phase of the two-way path [1/m2]."""
-    flat = points.reshape(-1, 3)
-    ranges = np.linalg.norm(flat - antennas.origins[:, None], axis=2)
+    flat, origins = points.reshape(-1, 3), frame.antennas.origins
+    ranges = np.linalg.norm(flat - origins[:, None], axis=2)
     inward, ids = (part.sphere.centre - flat) / part.sphere.radius, np.full(len(flat), part.sphere.object_id)
-    value = scattered(context, antennas, ids, flat, inward) / ranges.prod(0)
-    if (antennas.origins[0] != antennas.origins[1]).any():
-        one = np.linalg.norm(flat - antennas.origins.mean(0), axis=1)
-        value *= np.exp(-2j * np.pi / context.spec.wavelength_m * (ranges.sum(0) - 2 * one))
+    value = scattered(frame, ids, flat, inward) / ranges.prod(0)
+    if (origins[0] != origins[1]).any():
+        one = np.linalg.norm(flat - origins.mean(0), axis=1)
+        value *= np.exp(-2j * np.pi / frame.context.spec.wavelength_m * (ranges.sum(0) - 2 * one))
     return np.asarray(value.reshape(points.shape[:2]))
 
 
 def _transmission(
-    context: RadarContext,
-    parts: list[Surfaces],
-    part: SpherePart,
-    antennas: AntennaPair,
-    points: Floats,
-    present: Bools,
-    weights: Floats,
+    frame: RadarFrame, part: SpherePart, points: Floats, present: Bools, weights: Floats
 ) -> tuple[Complexes, Floats]:
     """Average the transmission (n) to each ring's points (n, m, 3) that are present (n, m), and its delay [s]."""
     sphere = part.sphere
     scale = 1 - (sphere.depth + PULL_M) / sphere.radius if part.inner else 1 + PULL_M / sphere.radius
     seen, late = np.zeros(present.shape, complex), np.zeros(present.shape)
-    seen[present], late[present] = transmission_to(context, parts, antennas, sphere.centre + scale * points[present])
+    seen[present], late[present] = frame.transmission_to(sphere.centre + scale * points[present])
     share = np.where(present, weights + 1e-12 * weights.max(), 0.0)
     share = share / np.maximum(share.sum(1, keepdims=True), 1e-300)
     some = np.flatnonzero(present.any(1))

@@ -30,9 +30,9 @@ import numpy as np
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.kernels import chains as kernel
 from ullage.kernels import fermat
-from ullage.radar.context import AntennaPair, RadarContext
+from ullage.radar.context import AntennaPair, RadarContext, RadarFrame
 from ullage.radar.echo_set import EchoSet
-from ullage.radar.facets import PlanarPatches, Surfaces
+from ullage.radar.facets import PlanarPatches
 from ullage.radar.fermat import SELECTIONS, fermat_paths
 from ullage.radar.multipath import choose_largest
 from ullage.radar.quadrics import Quadric
@@ -119,41 +119,30 @@ class Rays:
     factor: Complexes  # (n) what becomes of the spread of a wave from a point as far away, times the rate
 
 
-def accumulate_walls(
-    context: RadarContext,
-    parts: list[Surfaces],
-    quadrics: tuple[Quadric, ...],
-    planar: PlanarPatches,
-    antennas: AntennaPair,
-    most: int,
-    sizes: Floats,
-    grids: Complexes,
-) -> list[EchoSet]:
+def accumulate_walls(frame: RadarFrame) -> list[EchoSet]:
     """Add the echoes over the walls of tanks around the radar, and over a body in them, to the delay grids.
 
     Paths have two bounces. With three, the additional bounce is at the wall, at a floor or a roof among those of the
-    largest apparent `sizes` (p), or the path goes from the body to the wall and back. Echoes that are too weak against
+    largest apparent sizes, or the path goes from the body to the wall and back. Echoes that are too weak against
     those in the grids are left out.
     """
-    least = SELECTIONS[2].faint * float(abs(grids).max())
-    echoes = [_over(context, parts, chain, wall, body, least, grids)
-              for wall in _around(context, quadrics, antennas)
-              for body, chain in _chains(context, quadrics, wall, antennas, most,
-                                         planes_of(planar, wall, sizes) if most > 2 else [])]  # fmt: skip
+    least = SELECTIONS[2].faint * float(abs(frame.grids).max())
+    echoes = [_over(frame, chain, wall, body, least)
+              for wall in _around(frame)
+              for body, chain in _chains(frame, wall)]  # fmt: skip
     return [echo for echo in echoes if echo is not None]
 
 
-def _chains(
-    context: RadarContext, quadrics: tuple[Quadric, ...], wall: Quadric, antennas: AntennaPair, most: int,
-    planes: list[Plane],
-) -> Iterator[tuple[Quadric | None, Chain]]:  # fmt: skip
-    """List the chains of up to `most` bounces over a wall, with the body that each meets."""
+def _chains(frame: RadarFrame, wall: Quadric) -> Iterator[tuple[Quadric | None, Chain]]:
+    """List the chains over a wall, with the body that each meets."""
+    most, antennas = frame.max_bounces, frame.antennas
+    planes = planes_of(frame.planar, wall, frame.sizes) if most > 2 else []
     for back, side in enumerate(_both_sides(antennas)):
         for bounces in range(2, most + 1):
             yield None, Chain(side, back > 0, (True,) * bounces)
         for plane in planes:  # from the other side it is met at the other end
             yield None, Chain(side, back > 0, (True, True), (plane, 0))
-    for body, weight in _within(context, quadrics, wall, antennas):
+    for body, weight in _within(frame, wall):
         pair = replace(antennas, factor=weight * antennas.factor)
         for back, side in enumerate(_both_sides(pair)):
             for turn in (None, *product(planes, (0, 1))):
@@ -169,12 +158,13 @@ def _both_sides(antennas: AntennaPair) -> list[AntennaPair]:
     return [antennas, antennas.swapped()]
 
 
-def _around(context: RadarContext, quadrics: tuple[Quadric, ...], antennas: AntennaPair) -> Iterator[Quadric]:
+def _around(frame: RadarFrame) -> Iterator[Quadric]:
     """Find the walls around both antennas with their far side within the gate and facets too narrow for mirrors."""
-    narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
-    for wall in quadrics:
-        if not wall.is_sphere and wall.radius > LEAST_M and wall.widest < narrow and 2 * wall.radius < context.gate[1]:
-            places = wall.local(antennas.origins)
+    gate_m = frame.context.gate[1]
+    narrow = np.sqrt(frame.context.spec.wavelength_m * gate_m / 2)
+    for wall in frame.quadrics:
+        if not wall.is_sphere and wall.radius > LEAST_M and wall.widest < narrow and 2 * wall.radius < gate_m:
+            places = wall.local(frame.antennas.origins)
             if (np.hypot(places[:, 0], places[:, 1]) < wall.radius - wall.depth - PULL_M).all():
                 yield wall
 
@@ -192,12 +182,12 @@ def planes_of(planar: PlanarPatches, wall: Quadric, sizes: Floats) -> list[Plane
     return found
 
 
-def _within(
-    context: RadarContext, quadrics: tuple[Quadric, ...], wall: Quadric, antennas: AntennaPair
-) -> Iterator[tuple[Quadric, float]]:
+def _within(frame: RadarFrame, wall: Quadric) -> Iterator[tuple[Quadric, float]]:
     """Find the bodies inside a wall with both antennas outside them, of the largest apparent sizes, with weights."""
-    narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
-    bodies = [b for b in quadrics if b is not wall and b.widest < narrow and wall.holds(b) and _outside(b, antennas)]
+    narrow, antennas = np.sqrt(frame.context.spec.wavelength_m * frame.context.gate[1] / 2), frame.antennas
+    bodies = [
+        b for b in frame.quadrics if b is not wall and b.widest < narrow and wall.holds(b) and _outside(b, antennas)
+    ]
     gaps = np.array([np.linalg.norm(antennas.origins - body.centre, axis=1).max() for body in bodies])
     which, weights = choose_largest(np.array([body.radius for body in bodies]) / gaps, SELECTIONS[2].bodies)
     for k in which:
@@ -332,17 +322,9 @@ def reflectors_in(
                                     np.array([plane.object_id]))])  # fmt: skip
 
 
-def _over(
-    context: RadarContext,
-    parts: list[Surfaces],
-    chain: Chain,
-    wall: Quadric,
-    body: Quadric | None,
-    least: float,
-    grids: Complexes,
-) -> EchoSet | None:
+def _over(frame: RadarFrame, chain: Chain, wall: Quadric, body: Quadric | None, least: float) -> EchoSet | None:
     """Add the echo over one chain of surfaces, with or without a bounce at a plane across the axis."""
-    antennas, turn = chain.antennas, chain.turn
+    context, antennas, turn = frame.context, chain.antennas, chain.turn
     ends = antennas.origins
     if turn is not None:
         heights = wall.local(ends)[:, 2] - turn[0].level
@@ -362,12 +344,12 @@ def _over(
     left = end_factors(path, context.spec.wavelength_m)
     path = path.within_ends()
     seen = np.zeros(len(value), complex)
-    seen[wanted] = value[wanted] * left * free(parts, path) * reflection_gains(context, antennas, path)
+    seen[wanted] = value[wanted] * left * free(frame.parts, path) * reflection_gains(context, antennas, path)
     if not seen.any():
         return None
     sums, at = summed(lines, wall.radius, places, seen, (0.5, 0.5))
     path = path.take(np.searchsorted(wanted, at))
-    return accumulate_paths(context, path.reversed() if chain.back else path, sums, grids)
+    return accumulate_paths(frame, path.reversed() if chain.back else path, sums)
 
 
 def sampled(lines: Lines, radius: float, wave: float, there: Bools) -> kernel.WallPlaces:
@@ -421,13 +403,11 @@ def summed(
     return PathSum(length, value, leads, led, shares), first[leads]
 
 
-def accumulate_inside(
-    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, max_bounces: int, grids: Complexes
-) -> list[EchoSet]:
+def accumulate_inside(frame: RadarFrame) -> list[EchoSet]:
     """Add the echoes of two bounces and more inside spheres that contain the radar to the delay grids."""
-    echoes = [_in_ball(context, parts, antennas, sphere, bounces, grids)
-              for sphere in context.world.spheres if _holds(context, antennas, sphere)
-              for bounces in range(2, max_bounces + 1)]  # fmt: skip
+    echoes = [_in_ball(frame, sphere, bounces)
+              for sphere in frame.context.world.spheres if _holds(frame.context, frame.antennas, sphere)
+              for bounces in range(2, frame.max_bounces + 1)]  # fmt: skip
     return [echo for echo in echoes if echo is not None]
 
 
@@ -456,9 +436,8 @@ def ball_lines(radius: float, away: float, bounces: int, wave: float) -> tuple[L
     return lines, 0.5j * lines.spread * across * 1j ** (crossed % 4)
 
 
-def _in_ball(
-    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, sphere: Sphere, bounces: int, grids: Complexes
-) -> EchoSet | None:
+def _in_ball(frame: RadarFrame, sphere: Sphere, bounces: int) -> EchoSet | None:
+    context, antennas = frame.context, frame.antennas
     gap = antennas.origins.mean(0) - sphere.centre
     wave = 2 * np.pi / context.spec.wavelength_m
     lines, value = ball_lines(sphere.radius, float(np.linalg.norm(gap)), bounces, wave)
@@ -468,14 +447,14 @@ def _in_ball(
     wanted = _wanted(places, len(value))
     some = np.append(wanted[:-1:_EVERY], wanted[-1])
     path = _in_all_planes(sphere, antennas, lines.corners[1:-1, some, :2], gap)
-    share = (free(parts, path) * reflection_gains(context, antennas, path)).reshape(len(some), _PLANES)
+    share = (free(frame.parts, path) * reflection_gains(context, antennas, path)).reshape(len(some), _PLANES)
     if not share.any():
         return None
     seen = np.zeros(len(value), complex)
     seen[wanted] = value[wanted] * antennas.factor * np.interp(wanted, some, share.mean(1))
     sums, at = summed(lines, sphere.radius, places, seen, (1.0, 0.0))
     next_to = abs(some[:, None] - at).argmin(0)
-    return accumulate_paths(context, path.take(next_to * _PLANES + abs(share[next_to]).argmax(1)), sums, grids)
+    return accumulate_paths(frame, path.take(next_to * _PLANES + abs(share[next_to]).argmax(1)), sums)
 
 
 def _in_all_planes(sphere: Sphere, antennas: AntennaPair, points: Floats, gap: Floats) -> ReflectedPaths:

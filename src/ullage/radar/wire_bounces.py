@@ -16,9 +16,8 @@ from ullage.arrays import Complexes, Floats, Longs
 from ullage.kernels import paths as kernel
 from ullage.kernels import wires as string
 from ullage.kernels.facets import EchoSums, Transmission
-from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, grown
+from ullage.radar.context import KAPPA, REACH, RadarContext, RadarFrame, grown
 from ullage.radar.echo_set import EchoSet, echo_set
-from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.paths import PathSet, flat_faces, reached
 from ullage.radar.wires import placed
 
@@ -33,19 +32,11 @@ class MetWires:
     turns: Floats  # (m) angle around the wire between the outgoing and the reversed incoming direction [rad]
 
 
-def accumulate_wire_bounces(
-    context: RadarContext,
-    parts: list[Surfaces],
-    planar: PlanarPatches,
-    antennas: AntennaPair,
-    poses: Floats | None,
-    paths: PathSet,
-    grids: Complexes,
-) -> list[EchoSet]:
+def accumulate_wire_bounces(frame: RadarFrame, paths: PathSet) -> list[EchoSet]:
     """Add the echoes of wires over flat faces to the delay grids."""
-    lines = context.lines
-    starts, ends = placed(lines, poses)
-    met = _met(context, planar, antennas, paths, starts, ends)
+    context, lines = frame.context, frame.context.lines
+    starts, ends = placed(lines, frame.poses)
+    met = _met(frame, paths, starts, ends)
     if not len(met.on):
         return []
     starts, ends, radars = starts[met.on], ends[met.on], paths.ends[met.of]
@@ -53,30 +44,29 @@ def accumulate_wire_bounces(
     pieces, owner = grown(512, (2, 3), lambda out, of: string.cut_wires(
         starts, ends, radars, gate, fresnel, REACH, out, of))  # fmt: skip
     middle = pieces.mean(1)
-    free = reached(parts, planar, paths, met.of[owner], middle).free
+    free = reached(frame, paths, met.of[owner], middle).free
     if not free.any():
         return []
     wires = string.WirePieces(pieces, owner, lines.radii[met.on], _series(context, met))
-    images = paths.antennas(context.antennas(antennas), met.of)
+    images = paths.antennas(frame.radar, met.of)
 
     def put(between: Transmission, sums: EchoSums) -> None:
         string.accumulate_wires(wires, between, images, context.pulse_grid, sums)
 
     between = Transmission(free.astype(complex), np.zeros(len(pieces)))
-    echoes = echo_set(put, between, grids, lines.object_ids[met.on[owner]], middle)
+    echoes = echo_set(put, between, frame.grids, lines.object_ids[met.on[owner]], middle)
     return [paths.with_paths(echoes, met.of[owner])]
 
 
-def _met(
-    context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, paths: PathSet, starts: Floats, ends: Floats
-) -> MetWires:
+def _met(frame: RadarFrame, paths: PathSet, starts: Floats, ends: Floats) -> MetWires:
     """Find the wires that paths meet within the gate at their specular points."""
     size = len(paths) * len(starts)
     met = kernel.WireMeetings(np.empty(size, np.int64), np.empty(size, np.int64), np.empty((size, 2), complex),
                               np.empty(size))  # fmt: skip
     scratch = kernel.FieldScratch(np.empty((5, 4, 3)), np.empty((2, 3), complex))
-    count = kernel.meet_wires(np.stack([starts, ends]), paths.over_mirrors, context.gate[1], antennas.fields,
-                              context.mirrors(planar), flat_faces(planar), met, scratch)  # fmt: skip
+    mirrors, flat, gate_m = frame.context.mirrors(frame.planar), flat_faces(frame.planar), frame.context.gate[1]
+    count = kernel.meet_wires(np.stack([starts, ends]), paths.over_mirrors, gate_m, frame.antennas.fields, mirrors,
+                              flat, met, scratch)  # fmt: skip
     return MetWires(met.of[:count], met.on[:count], met.waves[:count], met.turns[:count])
 
 
