@@ -12,8 +12,8 @@ from scipy.stats import kurtosis, skew
 
 import ullage as ul
 from ullage.radar.leakage import leakage
-from ullage.radar.pulse import envelope, spectrum
-from ullage.radar.receiver import FILTER_SCALE, SIGMA_RATIO, chip_taps, noise_sigma, receive, unit
+from ullage.radar.pulse import chip_taps, envelope, spectrum
+from ullage.radar.receiver import FILTER_SCALE, SIGMA_RATIO, noise_sigma, receive, unit
 from ullage.radar.simulate import simulate
 from ullage.specs import RadarSpec
 

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from ullage.errors import InputError
 from ullage.kernels.receiver import limit_envelope
 from ullage.radar.leakage import leakage, unlimited
+from ullage.radar.pulse import chip_taps
 from ullage.radar.receiver import (
     FILTER_SCALE,
     Draws,
     baseband_noise,
-    chip_taps,
     counted,
     dac_limit,
     fold,

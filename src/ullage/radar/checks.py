@@ -18,6 +18,7 @@ from ullage.radar.prepared import Prepared, prepare
 from ullage.specs import RadarSpec
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
+from ullage.world.smoothing import welded
 
 NEAREST_M = 0.05
 """Surfaces nearer than this to a sensor are not in its far field: a bit over a wavelength [m]."""
@@ -58,7 +59,7 @@ def _meshes(scene: Scene) -> list[str]:
     if not len(scene.faces):
         return out
     corners = scene.corners()
-    tri = _welded(corners)
+    tri = welded(corners)
     ends = _edges(tri).outline  # open edges without a neighbour, such as a window's in its frame
     for index in np.unique(scene.face_object):
         mine = scene.face_object == index
@@ -83,16 +84,6 @@ def _meshes(scene: Scene) -> list[str]:
 
 def _size(points: Floats) -> float:
     return float(np.linalg.norm(np.ptp(points, axis=0)))
-
-
-def _welded(corners: Floats) -> Longs:
-    """Number the corners (f, 3), with one number for corners at the same place."""
-    grid = np.round((corners.reshape(-1, 3) - corners.min((0, 1))) / 1e-6).astype(np.int64)
-    order = np.lexsort(grid.T)
-    new = np.r_[False, (np.diff(grid[order], axis=0) != 0).any(1)]
-    ids = np.empty(len(grid), np.int64)
-    ids[order] = np.cumsum(new)
-    return ids.reshape(-1, 3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +129,7 @@ def _solids(scene: Scene) -> Bools:
     """Return which objects are closed with outward faces; rooms have inward faces."""
     out = np.zeros(max(len(scene.objects), 1), bool)
     corners = scene.corners()
-    tri = _welded(corners)
+    tri = welded(corners)
     for index in np.unique(scene.face_object):
         mine = scene.face_object == index
         edges = _edges(tri[mine])

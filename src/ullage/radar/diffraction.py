@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,10 +19,7 @@ from ullage.radar import double_diffraction as double
 from ullage.radar.wires import moved
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
-from ullage.world.smoothing import creases, goes_on, welded
-
-if TYPE_CHECKING:
-    from scipy.sparse import coo_array
+from ullage.world.smoothing import creases, face_normals, goes_on, half_edges, linked, welded
 
 NARROW = 0.25
 """Faces narrower than this part of a wave are the side of a thin plate, or no face at all."""
@@ -164,16 +160,13 @@ def _none() -> Edges:
 def _edges(scene: Scene, chosen: Bools) -> Edges:
     """Edges where the chosen faces end or turn, whether or not anything touches them."""
     corners = scene.vertices[scene.faces[chosen]]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1) / 2
+    normals, area = face_normals(corners)
     held = area > 1e-12
-    corners, normals = corners[held], cross[held] / (2 * area[held, None])
-    object_ids = scene.face_object[chosen][held]
+    corners, normals, object_ids = corners[held], normals[held], scene.face_object[chosen][held]
     if not len(corners):
         return _none()
-    tri, edge = _halves(corners)
-    first, count = _grouped(edge)
-    order = np.lexsort((edge[:, 1], edge[:, 0]))
+    ids, tri = welded(corners), np.repeat(np.arange(len(corners)), 3)
+    order, first, count = half_edges(ids)
     inward = _inward(corners, normals)
     limits = creases(scene.objects)
     a, b = order[first[count == 2]], order[first[count == 2] + 1]
@@ -182,7 +175,7 @@ def _edges(scene: Scene, chosen: Bools) -> Edges:
     pairs = _wedges(np.stack([a, b], 1)[~even], order, first, count, inward, crease)
     if not len(pairs):
         return _none()
-    smooth = _smooth(tri[a[even]], tri[b[even]], len(corners))
+    smooth = linked(tri[a[even]], tri[b[even]], len(corners))
     lead = pairs[:, 0]
     a, b = corners.reshape(-1, 3)[lead], corners.reshape(-1, 3)[lead - lead % 3 + (lead + 1) % 3]
     into = inward[pairs]
@@ -190,7 +183,7 @@ def _edges(scene: Scene, chosen: Bools) -> Edges:
     surfaces = smooth[tri[pairs]]
     widths = _widths(corners, smooth, a, into, surfaces)
     found = Edges(a, b, angle, into, np.stack([n1, n2], 1), widths, object_ids[tri[lead]], surfaces)
-    return _joined(found, edge[lead])
+    return _joined(found, np.stack([ids, np.roll(ids, -1, 1)], -1).reshape(-1, 2)[lead])
 
 
 def _joined(edges: Edges, ids: Longs) -> Edges:
@@ -198,9 +191,8 @@ def _joined(edges: Edges, ids: Longs) -> Edges:
 
     A mesh may cut a straight edge into any number of parts. Each part alone would end in two waves of its own.
     """
-    from scipy.sparse.csgraph import connected_components
-
-    total, line = connected_components(_continued(edges, ids), directed=False)
+    line = linked(*_continued(edges, ids), len(edges))
+    total = int(line.max()) + 1
     lead = np.full(total, len(edges))
     np.minimum.at(lead, line, np.arange(len(edges)))
     points, of = np.stack([edges.starts, edges.ends], 1).reshape(-1, 3), np.repeat(line, 2)
@@ -219,35 +211,18 @@ def _joined(edges: Edges, ids: Longs) -> Edges:
     return replace(edges, starts=starts, ends=ends).take(kept)
 
 
-def _continued(edges: Edges, ids: Longs) -> coo_array:
-    """Links (w, w) between edges of the same two surfaces that meet at a corner and hardly turn there."""
-    from scipy.sparse import coo_array
-
-    count = len(edges)
+def _continued(edges: Edges, ids: Longs) -> tuple[Longs, Longs]:
+    """Links between edges of the same two surfaces that meet at a corner and hardly turn there."""
     swapped = edges.surfaces[:, 0] > edges.surfaces[:, 1]
     sides = np.where(swapped[:, None], edges.surfaces[:, ::-1], edges.surfaces)
     inward = np.where(swapped[:, None, None], edges.inward[:, ::-1], edges.inward)
-    at, of = ids.reshape(-1), np.repeat(np.arange(count), 2)
+    at, of = ids.reshape(-1), np.repeat(np.arange(len(edges)), 2)
     order = np.lexsort((of, sides[of, 1], sides[of, 0], at))
     at, of = at[order], of[order]
     a, b = of[:-1], of[1:]
     alike = (at[:-1] == at[1:]) & (sides[a] == sides[b]).all(1)
     alike &= np.einsum("nfi,nfi->nf", inward[a], inward[b]).min(1) > np.cos(_STRAIGHT_RAD)
-    return coo_array((np.ones(alike.sum(), np.int8), (a[alike], b[alike])), shape=(count, count))
-
-
-def _halves(corners: Floats) -> tuple[Longs, Longs]:
-    """Of every half edge, its triangle and the ids of its two welded corners, the lower first."""
-    ids = welded(corners)
-    edge = np.sort(np.stack([ids, np.roll(ids, -1, 1)], -1), -1).reshape(-1, 2)
-    return np.repeat(np.arange(len(ids)), 3), edge
-
-
-def _grouped(edge: Longs) -> tuple[Longs, Longs]:
-    """Of the half edges in order: where each edge begins, and how many triangles meet there."""
-    key = edge[np.lexsort((edge[:, 1], edge[:, 0]))]
-    first = np.flatnonzero(np.r_[True, (key[1:] != key[:-1]).any(1)])
-    return first, np.diff(np.r_[first, len(key)])
+    return a[alike], b[alike]
 
 
 def _inward(corners: Floats, normals: Floats) -> Floats:
@@ -278,15 +253,6 @@ def _wedges(folded: Longs, order: Longs, first: Longs, count: Longs, inward: Flo
             out.append(halves[rank[[widest, (widest + 1) % many]]][None])
     wedges = np.concatenate(out).astype(np.int64)
     return wedges[np.argsort(wedges.min(1))]  # in an order that does not depend on coordinates
-
-
-def _smooth(a: Longs, b: Longs, many: int) -> Longs:
-    """Number the smooth pieces of so many triangles, where those of `a` (n) go over into those of `b` (n)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    links = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(many, many))
-    return np.asarray(connected_components(links, directed=False)[1], np.int64)
 
 
 def _open(into: Floats, normal: Floats) -> tuple[Floats, Floats, Floats]:

@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ullage import checks
@@ -23,6 +21,7 @@ from ullage.radar.own_body import with_body
 from ullage.radar.physical import accumulate, passive, radio
 from ullage.specs import MOST_BOUNCES, RadarSpec
 from ullage.world.scene import Scene
+from ullage.world.smoothing import linked
 
 Made = list[tuple[RadarFrame, list[EchoSet]]]  # echoes of each pair of patterns
 
@@ -268,10 +267,8 @@ def _places(points: Floats, apart_m: float) -> list[Longs]:
     keys, box = np.unique(np.ravel_multi_index(cells.T, shape), return_inverse=True)  # thin out what lies dense
     boxes = np.column_stack(np.unravel_index(keys, shape))
     near = cKDTree(boxes).query_pairs(8, output_type="ndarray")
-    links = coo_array((np.ones(len(near)), near.T), shape=(len(boxes), len(boxes)))
-    count, label = connected_components(links, directed=False)
-    mine = label[box]
-    return np.split(np.argsort(mine, kind="stable"), np.cumsum(np.bincount(mine, minlength=count))[:-1])
+    mine = linked(near[:, 0], near[:, 1], len(boxes))[box]
+    return np.split(np.argsort(mine, kind="stable"), np.cumsum(np.bincount(mine))[:-1])
 
 
 def _one(rows: _Rows, mine: Longs, shares: Floats) -> _Cluster:

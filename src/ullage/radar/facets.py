@@ -7,15 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels.facets import BALL
 from ullage.radar.solids import EVEN, Backs, Faces, backs, behind_skins
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
-from ullage.world.smoothing import Creases, creases, goes_on, welded
+from ullage.world.smoothing import Creases, creases, face_normals, goes_on, half_edges, linked, welded
 
 FLAT_M = 0.11
 """Flat faces at least this long are done by their rims and mirror waves [m]: squares of two waves of the X4M05.
@@ -115,12 +113,11 @@ def only(scene: Scene, kept: NDArray[np.generic]) -> Scene:
 def gather(scene: Scene, faces: Bools) -> Surfaces:
     """The chosen faces of a scene, moving ones as they stand at their start; faces without area are left out."""
     corners = scene.corners()
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1) / 2
+    normals, area = face_normals(corners)
     index = np.flatnonzero(faces & (area > 1e-12))
     part = only(scene, index)
     rays = Raycaster(part)
-    corners, normals, object_ids = corners[index], cross[index] / (2 * area[index, None]), scene.face_object[index]
+    corners, normals, object_ids = corners[index], normals[index], scene.face_object[index]
     patch = coplanar(corners, normals, object_ids)
     bends = slight_bends(corners, object_ids, patch, creases(scene.objects))
     large = (_extents(corners, patch) >= np.where(bends > 0, STRIP_M, FLAT_M))[patch]
@@ -139,28 +136,18 @@ def gather(scene: Scene, faces: Bools) -> Surfaces:
 
 def strewn(corners: Floats, normals: Floats, object_ids: Ints, sides: Backs, home: Surfaces) -> tuple[Surfaces, Longs]:
     """Triangles (f, 3, 3) with normals, objects and outer sides, among what else there is, and their order (f)."""
-    size = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    order, first = _clusters(corners.mean(1), np.sqrt(size))
+    order, first = _clusters(corners.mean(1), np.sqrt(face_normals(corners)[1]))
     mine = np.ascontiguousarray(corners[order])
     made = replace(home, corners=mine, normals=np.ascontiguousarray(normals[order]), object_ids=object_ids[order],
                    spheres=_spheres(mine, first), first=first, backs=sides.take(order))  # fmt: skip
     return made, order
 
 
-def twins(corners: Floats) -> tuple[Longs, Longs]:
-    """Pairs of triangles (f, 3, 3) that share an edge."""
-    a, b = twin_edges(corners)
-    return a // 3, b // 3
-
-
 def twin_edges(corners: Floats) -> tuple[Longs, Longs]:
     """Pairs of half edges of triangles (f, 3, 3) in one place: triangle times 3, and the corner each begins at."""
-    tri = welded(corners)
-    after = np.roll(tri, -1, 1)
-    edge = (np.minimum(tri, after) * (int(tri.max(initial=0)) + 1) + np.maximum(tri, after)).ravel()
-    order = np.argsort(edge, kind="stable")
-    twin = np.flatnonzero(np.diff(edge[order]) == 0)
-    return order[twin], order[twin + 1]
+    order, first, _ = half_edges(welded(corners))
+    twin = np.delete(np.arange(len(order)), first)
+    return order[twin - 1], order[twin]
 
 
 def coplanar(corners: Floats, normals: Floats, object_ids: Ints) -> Longs:
@@ -172,7 +159,7 @@ def coplanar(corners: Floats, normals: Floats, object_ids: Ints) -> Longs:
     """
     if not len(corners):
         return np.zeros(0, np.int64)
-    a, b = twins(corners)
+    a, b = (half // 3 for half in twin_edges(corners))
     height = _heights(corners)
     a, b = np.where(height[a] < height[b], b, a), np.where(height[a] < height[b], a, b)
     gap = abs(np.einsum("ni,nki->nk", normals[a], corners[b] - corners[a, :1])).max(1)
@@ -184,8 +171,7 @@ def coplanar(corners: Floats, normals: Floats, object_ids: Ints) -> Longs:
     for most in ROUNDED:
         allowed = np.maximum(most * size, rounded if most == ROUNDED[0] else 0.0)
         same = np.where(asked[a], (gap < allowed) & mine, same)
-        links = coo_array((np.ones(same.sum(), np.int8), (a[same], b[same])), shape=(len(corners), len(corners)))
-        patch = np.asarray(connected_components(links, directed=False)[1], np.int64)
+        patch = linked(a[same], b[same], len(corners))
         asked = np.bincount(patch, _off_plane(corners, normals, patch) > BENT_M)[patch] > 0
         if not asked.any():
             break
@@ -218,7 +204,7 @@ def _planes(corners: Floats, normals: Floats, patch: Longs) -> tuple[Floats, Flo
     first triangle's.
     """
     lead = np.unique(patch, return_index=True)[1][patch]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) + 1e-30
+    area = 2 * face_normals(corners)[1] + 1e-30
     alike = area * np.where(np.einsum("ni,ni->n", normals, normals[lead]) < 0, -1.0, 1.0)
     total: Floats = np.stack([np.bincount(patch, alike * n) for n in normals.T], 1)
     normal = total / np.maximum(np.linalg.norm(total, axis=1), 1e-30)[:, None]
@@ -248,7 +234,7 @@ def _extents(corners: Floats, patch: Longs) -> Floats:
     if not len(patch):
         return np.zeros(0)
     count = int(patch.max()) + 1
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = face_normals(corners)[1]
     middles = corners.mean(1)
     centre: Floats = np.stack([np.bincount(patch, area * m, count) for m in middles.T], 1)
     centre /= np.bincount(patch, area, count)[:, None]

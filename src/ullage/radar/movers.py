@@ -29,12 +29,12 @@ class Movers:
         owners = np.unique(scene.face_object[faces])
         parts = [gather(scene, faces & (scene.face_object == owner)) for owner in owners]
         solid = only(scene, np.isin(scene.face_object, owners))
-        self._home = _together(parts, solid)
+        self.home = _together(parts, solid)  # the faces where they start
         self._start = np.stack([invert(pose) for pose in scene.poses()])
 
     def at(self, poses: Floats) -> Surfaces:
         """Where the objects have these poses (o, 4, 4)."""
-        home, moves = self._home, poses @ self._start
+        home, moves = self.home, poses @ self._start
         return replace(
             _moved(home, moves),
             planar=_planar(home.planar, moves),
@@ -44,11 +44,6 @@ class Movers:
             home=home,
             poses=poses,
         )
-
-    @property
-    def home(self) -> Surfaces:
-        """The faces where they start."""
-        return self._home
 
     def patches_at(self, patches: Patches, poses: Floats) -> Patches:
         """Curved patches of these faces, cut where they start, where the objects have these poses (o, 4, 4)."""

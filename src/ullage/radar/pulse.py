@@ -48,16 +48,23 @@ def filtered(spec: RadarSpec) -> bool:
     return spec.output == "baseband" and spec.decimation == 8
 
 
-def chip_filter(frequency_hz: Floats, sampling_hz: float) -> Floats:
-    """Compute the response of the X4's 32-tap on-chip low-pass at offsets from the carrier, without its delay, 1 at 0.
+def chip_taps(decimation: int = 8) -> Floats:
+    """Compute the taps of the on-chip low-pass, Hamming-windowed, four output bins long [X4Recordings].
 
-    The taps are the Hamming-windowed design that reproduces the measured noise correlation and pulse width of the
-    recordings [X4Recordings].
+    32 taps of 0.5 GHz at 23.328 GS/s reproduce the measured pulse width and correlation between bins; other rates scale
+    with it.
     """
-    n = np.arange(32) - 15.5
-    cutoff = 2 * 0.5e9 / 23.328e9
-    taps = cutoff * np.sinc(cutoff * n) * (0.54 + 0.46 * np.cos(2 * np.pi * n / 31))
-    return np.asarray(np.cos(2 * np.pi * np.multiply.outer(frequency_hz / sampling_hz, n)) @ (taps / taps.sum()))
+    length = 4 * decimation
+    n = np.arange(length) - (length - 1) / 2
+    cutoff = 2 * 0.5e9 / 23.328e9 * 8 / decimation
+    taps = np.sinc(cutoff * n) * (0.54 + 0.46 * np.cos(2 * np.pi * n / (length - 1)))
+    return np.asarray(taps / taps.sum())
+
+
+def chip_filter(frequency_hz: Floats, sampling_hz: float) -> Floats:
+    """Compute the response of the X4's on-chip low-pass at offsets from the carrier, without its delay, 1 at 0."""
+    turn = np.multiply.outer(frequency_hz / sampling_hz, np.arange(32) - 15.5)
+    return np.asarray(np.cos(2 * np.pi * turn) @ chip_taps())
 
 
 def spectrum(spec: RadarSpec, frequency_hz: Floats) -> Floats:

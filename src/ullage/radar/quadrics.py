@@ -11,14 +11,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.radar.facets import twin_edges
 from ullage.world.scene import Scene
-from ullage.world.smoothing import CREASES_DEG, Creases, creases, goes_on
+from ullage.world.smoothing import CREASES_DEG, Creases, creases, face_normals, goes_on, linked
 
 OFF_M = 2.5e-3
 """Largest distance of facet corners from the cylinder [m]: a sixteenth of a wavelength."""
@@ -94,17 +92,10 @@ class SmoothSurface:
 def smooth_surfaces_of(scene: Scene, faces: Bools) -> list[SmoothSurface]:
     """Find the smooth surfaces among some faces (f) of a scene, at their initial poses."""
     corners = scene.corners()[faces]
-    object_ids = scene.face_object[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(normals, axis=1) / 2
+    normals, area = face_normals(corners)
     kept = area > 1e-12
-    corners, object_ids, area, normals = (
-        corners[kept],
-        object_ids[kept],
-        area[kept],
-        normals[kept] / (2 * area[kept, None]),
-    )
-    index = np.flatnonzero(faces)[kept]
+    corners, area, normals, index = corners[kept], area[kept], normals[kept], np.flatnonzero(faces)[kept]
+    object_ids = scene.face_object[index]
     return [SmoothSurface(corners[mine], normals[mine], area[mine], int(object_ids[mine[0]]), index[mine])
             for mine in _connected(corners, object_ids, creases(scene.objects))]  # fmt: skip
 
@@ -189,10 +180,8 @@ def _connected(corners: Floats, object_ids: Ints, limits: Creases) -> list[Longs
     a, b = twin_edges(corners)
     smooth = (object_ids[a // 3] == object_ids[b // 3]) & goes_on(corners, a, b, object_ids, limits)
     a, b = a[smooth] // 3, b[smooth] // 3
-    links = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(len(corners), len(corners)))
-    count, name = connected_components(links, directed=False)
-    order = np.argsort(name, kind="stable")
-    groups = np.split(order, np.cumsum(np.bincount(name, minlength=count))[:-1])
+    name = linked(a, b, len(corners))
+    groups = np.split(np.argsort(name, kind="stable"), np.cumsum(np.bincount(name))[:-1])
     return [group for group in groups if len(group) >= _FEWEST]
 
 
@@ -224,7 +213,7 @@ def _fit_cylinder(corners: Floats, normals: Floats, area: Floats, object_id: int
     radius = float(away.mean())
     least, most = points[..., 2].min(), points[..., 2].max()
     return Quadric(np.append(centre, 0.0) @ axes, axes, radius, float(least), float(most),
-                 float(max(away.max() - radius, radius - gaps.min())), _widest_extent(points, centre), object_id,
+                 float(max(away.max() - radius, radius - gaps.min())), _widest_extent(points), object_id,
                  strips=_strips(points, centre, area[kept]))  # fmt: skip
 
 
@@ -315,7 +304,7 @@ def _angle_covered(points: Floats) -> float:
     return float(2 * np.pi - np.diff(np.append(angle, angle[0] + 2 * np.pi)).max())
 
 
-def _widest_extent(points: Floats, centre: Floats) -> float:
+def _widest_extent(points: Floats) -> float:
     """Measure the smaller extent, around or along, of the widest of triangles (n, 3, 3) [m]."""
     sides = np.roll(points, 1, 1) - points
     around = np.linalg.norm(sides[..., :2], axis=2).max(1)

@@ -23,6 +23,7 @@ from ullage.fan import smoothed
 from ullage.geometry import C0
 from ullage.kernels.receiver import limit_envelope
 from ullage.radar.leakage import leakage
+from ullage.radar.pulse import chip_taps
 from ullage.specs import NoiseSpec, RadarSpec
 
 THERMAL, COMMON, THESIS = 0, 1, 2
@@ -194,18 +195,6 @@ def _turned(row: Floats, phase: float) -> Floats:
     turned = np.fft.rfft(row)
     turned[1:] *= np.exp(1j * phase)
     return np.fft.irfft(turned, len(row))
-
-
-def chip_taps(decimation: int = 8) -> Floats:
-    """Compute the taps of the on-chip low-pass, Hamming-windowed, four output bins long [X4Recordings].
-
-    32 taps of 0.5 GHz at 23.328 GS/s reproduce the measured correlation between bins; other rates scale with it.
-    """
-    length = 4 * decimation
-    n = np.arange(length) - (length - 1) / 2
-    cutoff = 2 * 0.5e9 / 23.328e9 * 8 / decimation
-    taps = np.sinc(cutoff * n) * (0.54 + 0.46 * np.cos(2 * np.pi * n / (length - 1)))
-    return np.asarray(taps / taps.sum())
 
 
 @lru_cache(maxsize=8)

@@ -27,6 +27,7 @@ from ullage.radar.wires import moved
 from ullage.specs import RadarSpec
 from ullage.world.materials import Material
 from ullage.world.scene import Scene
+from ullage.world.smoothing import face_normals
 
 SPACING_M = 0.05
 """Mean distance between scatterers [m]; several to every range bin and beam."""
@@ -62,8 +63,8 @@ def diffuse_scatterers_of(world: Prepared, seed: int) -> DiffuseScatterers:
 def strewn(scene: Scene, seed: int) -> DiffuseScatterers:
     """Strews scatterers over every rough object, evenly by area; the same for the same mesh wherever it stands."""
     rough = [i for i, o in enumerate(scene.objects) if o.material.roughness_m > 0]
-    corners = scene.vertices[scene.faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    corners = scene.corners()
+    area = face_normals(corners)[1]
     whole = float(area[np.isin(scene.face_object, rough)].sum())
     spacing = max(SPACING_M, np.sqrt(whole / MOST))
     parts = [_on_object(corners[mine], area[mine], spacing, [seed, i, zlib.crc32(scene.objects[i].name.encode())])
@@ -88,8 +89,7 @@ def _on_object(corners: Floats, area: Floats, spacing: float, key: list[int]) ->
     u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
     a, b, c = (corners[face, k] for k in range(3))
     points = a + u[:, None] * (b - a) + v[:, None] * (c - a)
-    normals = np.cross(b - a, c - a)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = face_normals(corners)[0][face]
     amplitude = rng.standard_normal((2, count)) * np.sqrt(0.5)
     return points, normals, (amplitude[0] + 1j * amplitude[1]) * np.sqrt(area.sum() / count)
 

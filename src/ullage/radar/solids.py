@@ -8,13 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels import outlines as kernel
 from ullage.world.raycast import Raycaster
-from ullage.world.smoothing import welded
+from ullage.world.smoothing import linked, welded
 
 SKIN_M = 2e-3
 """Two skins of one sheet are no farther apart [m]; it is the slack of rays."""
@@ -107,8 +105,8 @@ def backs(corners: Floats, normals: Floats, object_ids: Ints) -> Backs:
     once = np.diff(np.searchsorted(ahead[order], np.stack([ahead, ahead + 1], 1)), axis=1)[:, 0] == 1
     good = (ahead[twin] == back) & once & once[twin]
     face = np.repeat(np.arange(count), 3)
-    links = coo_array((np.ones(good.sum(), np.int8), (face[good], face[twin[good]])), shape=(count, count))
-    total, body = connected_components(links, directed=False)
+    body = linked(face[good], face[twin[good]], count)
+    total = int(body.max()) + 1
     closed = np.ones(total, bool)
     closed[body[face[~good]]] = False
     volume = np.bincount(body, np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])), total)

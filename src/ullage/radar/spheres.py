@@ -10,13 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ullage.arrays import Bools, Floats, Longs
 from ullage.radar.facets import Surfaces
 from ullage.radar.quadrics import LEAST_M, OFF_M, SmoothSurface, along_axis, connected_parts, sphere_through
-from ullage.world.smoothing import welded
+from ullage.world.smoothing import linked, welded
 
 _FEWEST = 16  # triangles
 _DEEP = 0.05  # largest depth of facets inside the sphere, as a share of its radius
@@ -136,8 +134,7 @@ def _openings(local: Floats) -> Floats | None:
     if not len(single):
         return np.zeros((0, 4))
     ends, size = edge[single], int(tri.max()) + 1
-    links = coo_array((np.ones(len(ends), np.int8), (ends[:, 0], ends[:, 1])), shape=(size, size))
-    loop = connected_components(links, directed=False)[1][ends[:, 0]]
+    loop = linked(ends[:, 0], ends[:, 1], size)[ends[:, 0]]
     places = np.empty((size, 3))
     places[tri.ravel()] = local.reshape(-1, 3)
     caps = []

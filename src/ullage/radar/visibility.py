@@ -31,15 +31,9 @@ def seen(
 
     1 in the open, 0 behind anything opaque; behind thin sheets what they let through, at most `SHEETS` of them.
     """
-    clear = None
-    veils: list[TransmissiveFaces] = []
-    for part in parts:
-        opaque, veil = part.casters(transmissive.thin)
-        open_ = opaque.visible(origin, points, slack_m=SLACK_M, leave_m=LEAVE_M)
-        clear = open_ if clear is None else clear & open_
-        if veil is not None:
-            veils.append(veil)
-    clear = np.ones(len(points), bool) if clear is None else clear
+    casters = [part.casters(transmissive.thin) for part in parts]
+    veils = [veil for _, veil in casters if veil is not None]
+    clear = _clear([opaque for opaque, _ in casters], origin, points, LEAVE_M)
     factor, late = clear.astype(complex), np.zeros(len(points))
     if veils:
         _through(veils, origin, points, np.flatnonzero(clear), transmissive, factor, late)
@@ -92,11 +86,16 @@ def _first(veils: Sequence[TransmissiveFaces], origins: Floats, rays: Floats) ->
 
 def between(parts: Sequence[Surfaces], a: Floats, b: Floats) -> Bools:
     """Whether nothing stands between the points a (n, 3) and b (n, 3), which may lie on surfaces."""
-    clear = None
-    for part in parts:
-        open_ = part.rays.visible(a, b, slack_m=SLACK_M, leave_m=SLACK_M)
-        clear = open_ if clear is None else clear & open_
-    return np.ones(len(a), bool) if clear is None else clear
+    return _clear([part.rays for part in parts], a, b, SLACK_M)
+
+
+def _clear(opaque: Sequence[Raycaster], a: Floats, b: Floats, leave_m: float) -> Bools:
+    """Whether nothing opaque stands between places a (3) or (n, 3), from so far off them on, and b (n, 3)."""
+    out = None
+    for rays in opaque:
+        open_ = rays.visible(a, b, slack_m=SLACK_M, leave_m=leave_m)
+        out = open_ if out is None else out & open_
+    return np.ones(len(b), np.bool_) if out is None else out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,11 +107,7 @@ class OpaqueView:
 
     def clear(self, points: Floats) -> Bools:
         """Whether nothing stands before points (n, 3) on surfaces."""
-        out = None
-        for rays in self.opaque:
-            open_ = rays.visible(self.origin, points, slack_m=SLACK_M, leave_m=LEAVE_M)
-            out = open_ if out is None else out & open_
-        return np.ones(len(points), np.bool_) if out is None else out
+        return _clear(self.opaque, self.origin, points, LEAVE_M)
 
     def shadow_ends(self, dark: Floats, lines: ShadowLines) -> ShadowEnds:
         """Find where the shadows that hide dark places (b, 3) on lines (b) stop."""
