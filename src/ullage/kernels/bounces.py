@@ -240,9 +240,7 @@ def reflect_field(gamma: Complexes, object_id: int, n: Floats, u: Floats, field:
     sx, sy, sz = sx / size, sy / size, sz / size
     across = (te - tm) * (sx * field[0] + sy * field[1] + sz * field[2])
     field[0], field[1], field[2] = tm * field[0] + across * sx, tm * field[1] + across * sy, tm * field[2] + across * sz
-    twice = 2 * (n[0] * field[0] + n[1] * field[1] + n[2] * field[2])
-    for k in range(3):
-        field[k] -= twice * n[k]
+    mirrored(n, field)
 
 
 @lean(error_model="numpy")

@@ -14,11 +14,12 @@ from typing import NamedTuple
 from ullage.arrays import Bools, Floats, Longs
 from ullage.kernels.double_edge_diffraction import along_sheet, transition
 from ullage.kernels.edge_diffraction import face_currents
-from ullage.kernels.facets import ONE, VERTEX, Antennas, EchoSums, PulseGrid, Transmission, toward
+from ullage.kernels.facets import ONE, VERTEX, Antennas, EchoSums, PulseGrid, Transmission, sight
 from ullage.kernels.facets import turned as phasor
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
 from ullage.kernels.outlines import LineEcho, accumulate_pulses
+from ullage.kernels.vectors import dot, fields_across
 
 C0 = 299_792_458.0
 _PARTS = 6  # of the second edge at least, finer towards the corner
@@ -66,16 +67,14 @@ def audible(corners: Corners, antennas: Antennas, wave: float, gate: Floats, lea
     Returns:
         How many there are.
     """
-    at, origins = 0, antennas.origins
-    for c in range(len(corners.places)):
+    at, places = 0, corners.places
+    for c in range(len(places)):
         far, level, above = 0.0, 4 / (4 * math.pi * wave * wave), 0.0
         for s in range(2):
-            x, y, z = (corners.places[c, 0] - origins[0, s, 0], corners.places[c, 1] - origins[0, s, 1],
-                       corners.places[c, 2] - origins[0, s, 2])  # fmt: skip
-            r = max(math.sqrt(x * x + y * y + z * z), 1e-2)
+            r, x, y, z, gain = sight(antennas, ONE, s, places[c, 0], places[c, 1], places[c, 2])
             far += 0.5 * r
-            above -= x * corners.normals[c, 0] + y * corners.normals[c, 1] + z * corners.normals[c, 2]
-            level *= abs(toward(antennas.table, antennas.isotropic, antennas.frames, ONE, s, x / r, y / r, z / r)) / r
+            above -= r * (x * corners.normals[c, 0] + y * corners.normals[c, 1] + z * corners.normals[c, 2])
+            level *= abs(gain) / max(r, 1e-2)
         if gate[0] <= far <= gate[1] and level > least and (above > 0 or corners.bare[c]):
             out[at] = c
             at += 1
@@ -85,34 +84,16 @@ def audible(corners: Corners, antennas: Antennas, wave: float, gate: Floats, lea
 @core(fastmath=True, error_model="numpy")
 def _seen(place: Floats, antennas: Antennas, wave: float, rows: Floats) -> complex:
     """Antenna gains over ranges at a place; rows get the direction of travel and both fields across it."""
-    g, origins = 1.0 + 0j, antennas.origins
+    g = 1.0 + 0j
     for j in range(3):
         rows[TRAVEL, j] = 0.0
     for s in range(2):
-        x, y, z = place[0] - origins[0, s, 0], place[1] - origins[0, s, 1], place[2] - origins[0, s, 2]
-        r = max(math.sqrt(x * x + y * y + z * z), 1e-9)
-        x, y, z = x / r, y / r, z / r
-        g *= toward(antennas.table, antennas.isotropic, antennas.frames, ONE, s, x, y, z) * spread(wave, r)
+        r, x, y, z, gain = sight(antennas, ONE, s, place[0], place[1], place[2])
+        g *= gain * spread(wave, r)
         rows[TRAVEL, 0], rows[TRAVEL, 1], rows[TRAVEL, 2] = (
             rows[TRAVEL, 0] + x, rows[TRAVEL, 1] + y, rows[TRAVEL, 2] + z)  # fmt: skip
-    size = math.sqrt(rows[TRAVEL, 0] ** 2 + rows[TRAVEL, 1] ** 2 + rows[TRAVEL, 2] ** 2)
-    for j in range(3):
-        rows[TRAVEL, j] /= max(size, 1e-6)
-    for s in range(2):
-        along, square = 0.0, 0.0
-        for j in range(3):
-            along += antennas.fields[0, s, j] * rows[TRAVEL, j]
-        for j in range(3):
-            rows[SENT + s, j] = antennas.fields[0, s, j] - along * rows[TRAVEL, j]
-            square += rows[SENT + s, j] ** 2
-        for j in range(3):
-            rows[SENT + s, j] /= math.sqrt(max(square, 1e-12))
+    fields_across(antennas.fields[0], rows)
     return g
-
-
-@core(fastmath=True, error_model="numpy", forceinline=True)
-def _dot(a: Floats, b: Floats) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @core(fastmath=True, error_model="numpy", forceinline=True)
@@ -124,7 +105,7 @@ def _cross(a: Floats, b: Floats, out: Floats) -> None:
 def _frame(corners: Corners, c: int, edge: int, rows: Floats) -> None:
     """Rows `INWARD` and `ALONG` get the unit vectors from an edge into its face, and along it."""
     along, other = corners.along[c, edge], corners.along[c, 1 - edge]
-    share = _dot(along, other)
+    share = dot(along, other)
     size = math.sqrt(max(1 - share * share, 1e-12))
     for j in range(3):
         rows[INWARD, j] = (other[j] - share * along[j]) / size
@@ -134,7 +115,7 @@ def _frame(corners: Corners, c: int, edge: int, rows: Floats) -> None:
 @core(fastmath=True, error_model="numpy", forceinline=True)
 def _incidence(corners: Corners, c: int, rows: Floats) -> float:
     """Angle from the face to where row `TRAVEL` comes from, about the edge of row `INWARD` [rad]."""
-    phi = math.atan2(-_dot(rows[TRAVEL], corners.normals[c]), -_dot(rows[TRAVEL], rows[INWARD]))
+    phi = math.atan2(-dot(rows[TRAVEL], corners.normals[c]), -dot(rows[TRAVEL], rows[INWARD]))
     return phi + 2 * math.pi if phi < 0 else phi
 
 
@@ -148,8 +129,8 @@ def _first(corners: Corners, c: int, edge: int, field: int, rows: Floats) -> tup
     n = corners.angles[c, edge]
     _frame(corners, c, edge, rows)
     _cross(rows[TRAVEL], rows[SENT + field], rows[SCRATCH])
-    magnetic, electric = _dot(rows[SCRATCH], rows[ALONG]), _dot(rows[SENT + field], rows[ALONG])
-    cosine = _dot(rows[TRAVEL], rows[ALONG])
+    magnetic, electric = dot(rows[SCRATCH], rows[ALONG]), dot(rows[SENT + field], rows[ALONG])
+    cosine = dot(rows[TRAVEL], rows[ALONG])
     sine = math.sqrt(max(1 - cosine * cosine, 1e-6))
     for j in range(3):
         rows[WAVE, j] = sine * rows[INWARD, j] + cosine * rows[ALONG, j]
@@ -175,7 +156,7 @@ def _second(corners: Corners, c: int, edge: int, field: int, wave: float, rows: 
     _frame(corners, c, edge, rows)
     turn, total, facing = corners.angles[c, edge] * math.pi, 0.0, 0.0
     along, inward, seen = rows[ALONG], rows[INWARD], rows[RECEIVED - field]
-    cosine = _dot(rows[WAVE], along)
+    cosine = dot(rows[WAVE], along)
     sine = math.sqrt(max(1 - cosine * cosine, 1e-6))
     for side in range(2):  # this face, which the wave grazes, and the one beyond the edge
         sign = 1.0 - 2 * side
@@ -183,10 +164,10 @@ def _second(corners: Corners, c: int, edge: int, field: int, wave: float, rows: 
             rows[SCRATCH, j] = inward[j]
             if side == 1:
                 rows[SCRATCH, j] = math.cos(turn) * inward[j] + math.sin(turn) * corners.normals[c, j]
-        back = 1 + sine * _dot(rows[TRAVEL], rows[SCRATCH]) + cosine * _dot(rows[TRAVEL], along)
+        back = 1 + sine * dot(rows[TRAVEL], rows[SCRATCH]) + cosine * dot(rows[TRAVEL], along)
         facing = back if side == 0 else facing
         face_currents(turn / math.pi, side * turn, 0.0, sign * sine, sign * cosine, back, rows[CURRENTS])
-        total += sign * _dot(seen, along) * rows[CURRENTS, 0] + _dot(seen, rows[SCRATCH]) * rows[CURRENTS, 1]
+        total += sign * dot(seen, along) * rows[CURRENTS, 0] + dot(seen, rows[SCRATCH]) * rows[CURRENTS, 1]
     reach = max(abs(cosine) / corners.lengths[c, edge], sine / corners.lengths[c, 1 - edge])
     return total * transition(wave * max(facing, 0.0) / reach)
 
@@ -210,8 +191,8 @@ def _over_face(corners: Corners, c: int, edge: int, wave: float, rows: Floats) -
     if corners.angles[c, edge] > 2 - 1e-6:
         return 1 + 0j
     _frame(corners, c, edge, rows)
-    cosine, half = _dot(rows[TRAVEL], rows[ALONG]), math.sin(0.5 * _incidence(corners, c, rows))
-    across = corners.lengths[c, 1 - edge] * _dot(corners.along[c, 1 - edge], rows[INWARD])
+    cosine, half = dot(rows[TRAVEL], rows[ALONG]), math.sin(0.5 * _incidence(corners, c, rows))
+    across = corners.lengths[c, 1 - edge] * dot(corners.along[c, 1 - edge], rows[INWARD])
     return transition(2 * wave * across * (1 - cosine * cosine) * half * half)
 
 
@@ -223,8 +204,8 @@ def _route(corners: Corners, c: int, one: int, rows: Floats, out: Floats) -> boo
     """
     along, other = corners.along[c, one], corners.along[c, 1 - one]
     _frame(corners, c, 1 - one, rows)
-    down, rise = -_dot(rows[WAVE], rows[INWARD]), _dot(along, rows[INWARD])
-    bottom = _dot(along, other) * down / rise + _dot(rows[WAVE], other)
+    down, rise = -dot(rows[WAVE], rows[INWARD]), dot(along, rows[INWARD])
+    bottom = dot(along, other) * down / rise + dot(rows[WAVE], other)
     if bottom <= 1e-3:
         return False
     out[0], out[1] = down / (rise * bottom), 1 / bottom

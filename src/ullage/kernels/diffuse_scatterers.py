@@ -17,8 +17,8 @@ from ullage.kernels.facets import (
     Transmission,
     _accumulate,
     same,
+    sight,
     te_share,
-    toward,
     turned,
 )
 from ullage.kernels.loops import lean
@@ -54,7 +54,7 @@ def accumulate_diffuse_scatterers(
     omega, start, fold = pulse.omega, pulse.start_s, pulse.fold_s
     last = start + sums.grids.shape[1] * pulse.step_s
     most = lobes.shape[2] - 1
-    origins, points, normals, object_ids = antennas.origins, tiles.points, tiles.normals, tiles.object_ids
+    points, normals, object_ids = tiles.points, tiles.normals, tiles.object_ids
     scale, mono = antennas.factor[0] / (4 * math.pi), same(antennas, ONE)
     for k in range(len(tiles.first) - 1):
         sums.echo[k], sums.delay_s[k] = 0j, 0.0
@@ -64,18 +64,13 @@ def accumulate_diffuse_scatterers(
         for i in range(tiles.first[k], tiles.first[k + 1]):
             g, path, cosine, share, both = 1.0 + 0j, 0.0, 0.0, 0.0, 0.0
             for s in range(2):
-                dx, dy, dz = (points[i, 0] - origins[0, s, 0], points[i, 1] - origins[0, s, 1],
-                              points[i, 2] - origins[0, s, 2])  # fmt: skip
-                r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
-                ux, uy, uz = dx / r, dy / r, dz / r
+                r, ux, uy, uz, gain = sight(antennas, ONE, s, points[i, 0], points[i, 1], points[i, 2])
                 if s == 0 or not mono:
                     te, whole = te_share(antennas.fields, ONE, ux, uy, uz, normals[i, 0], normals[i, 1], normals[i, 2])
                     share += te if mono else 0.5 * te
                     both += whole if mono else 0.5 * whole
                 cosine += 0.5 * abs(ux * normals[i, 0] + uy * normals[i, 1] + uz * normals[i, 2])
-                g *= toward(antennas.table, antennas.isotropic, antennas.frames, ONE, s, ux, uy, uz) * spread(
-                    omega / C0, r
-                )
+                g *= gain * spread(omega / C0, r)
                 path += r
             u = min(cosine, 0.9999999) * most
             j = int(u)

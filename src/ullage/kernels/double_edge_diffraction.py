@@ -12,7 +12,7 @@ import math
 from typing import NamedTuple
 
 from ullage.arrays import Bools, Floats, Ints, Longs
-from ullage.kernels.facets import FROM, ONE, TO, VERTEX, Antennas, EchoSums, PulseGrid, Transmission, same, toward
+from ullage.kernels.facets import FROM, ONE, TO, VERTEX, Antennas, EchoSums, PulseGrid, Transmission, same, sight
 from ullage.kernels.facets import turned as phasor
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
@@ -78,17 +78,14 @@ def _graze(
 
     The magnetic field along the edge follows, of each antenna with its gain over the range.
     """
-    inward, normals, origins, fields, p = pairs.inward, pairs.normals, antennas.origins, antennas.fields, out[2]
+    inward, normals, fields, p = pairs.inward, pairs.normals, antennas.fields, out[2]
     ux, uy, uz, sent, taken, path = 0.0, 0.0, 0.0, 0j, 0j, 0.0
     nx, ny, nz = normals[w, 0], normals[w, 1], normals[w, 2]
     ix, iy, iz = inward[w, side, 0], inward[w, side, 1], inward[w, side, 2]
     tx, ty, tz = iy * nz - iz * ny, iz * nx - ix * nz, ix * ny - iy * nx
     for s in range(2):
-        dx, dy, dz = p[0] - origins[0, s, 0], p[1] - origins[0, s, 1], p[2] - origins[0, s, 2]
-        r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
-        dx, dy, dz = dx / r, dy / r, dz / r
-        sent = taken
-        taken = toward(antennas.table, antennas.isotropic, antennas.frames, ONE, s, dx, dy, dz) * spread(wave, r)
+        r, dx, dy, dz, gain = sight(antennas, ONE, s, p[0], p[1], p[2])
+        sent, taken = taken, gain * spread(wave, r)
         path += 0.5 * r
         ux, uy, uz = ux + dx, uy + dy, uz + dz
         if s == 0 and same(antennas, ONE):

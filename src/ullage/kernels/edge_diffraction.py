@@ -22,11 +22,13 @@ from ullage.kernels.facets import (
     Transmission,
     alike,
     same,
+    sight,
     toward,
 )
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
 from ullage.kernels.outlines import LineEcho, accumulate_pulses
+from ullage.kernels.vectors import fields_across
 
 C0 = 299_792_458.0
 
@@ -168,39 +170,24 @@ def strength(
     """
     g, path, bend = 1.0 + 0j, 0.0, 0.0
     inward, normals, transmissive = wedges.inward, wedges.normals, wedges.transmissive
-    origins, fields = antennas.origins, antennas.fields
+    fields = antennas.fields
     ix, iy, iz = inward[w, 0, 0], inward[w, 0, 1], inward[w, 0, 2]
     nx, ny, nz = normals[w, 0, 0], normals[w, 0, 1], normals[w, 0, 2]
     tx, ty, tz = iy * nz - iz * ny, iz * nx - ix * nz, ix * ny - iy * nx
     rows[0, 0] = rows[0, 1] = rows[0, 2] = 0.0
     for s in range(2):
-        dx, dy, dz = (places[k, end, 0] - origins[0, s, 0], places[k, end, 1] - origins[0, s, 1],
-                      places[k, end, 2] - origins[0, s, 2])  # fmt: skip
-        r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
-        dx, dy, dz = dx / r, dy / r, dz / r
-        one = toward(antennas.table, antennas.isotropic, antennas.frames, ONE, s, dx, dy, dz) * spread(wave, r)
+        r, dx, dy, dz, one = sight(antennas, ONE, s, places[k, end, 0], places[k, end, 1], places[k, end, 2])
+        one *= spread(wave, r)
         along = tx * dx + ty * dy + tz * dz
         g, path, bend = g * one, path + r, bend + (1 - along * along) / r
         rows[0, 0], rows[0, 1], rows[0, 2] = rows[0, 0] + dx, rows[0, 1] + dy, rows[0, 2] + dz
         if s == 0 and same(antennas, ONE):
             g, path, bend = g * one, 2 * path, 2 * bend
             break
-    ux, uy, uz = rows[0, 0], rows[0, 1], rows[0, 2]
-    size = math.sqrt(ux * ux + uy * uy + uz * uz)
-    if size < 1e-6:
+    if not fields_across(fields[0], rows):
         return 0j, path, bend
-    for j in range(3):
-        rows[0, j] /= size
-    for s in range(2):
-        along = (fields[0, s, 0] * ux + fields[0, s, 1] * uy + fields[0, s, 2] * uz) / size
-        square = 0.0
-        for j in range(3):
-            rows[1 + s, j] = fields[0, s, j] - along * rows[0, j]
-            square += rows[1 + s, j] ** 2
-        for j in range(3):
-            rows[1 + s, j] /= math.sqrt(max(square, 1e-12))
     # the rim of a thin body: only its wide face, from the side it looks to, front and back
-    if transmissive[w] and ux * nx + uy * ny + uz * nz >= 0:
+    if transmissive[w] and rows[0, 0] * nx + rows[0, 1] * ny + rows[0, 2] * nz >= 0:
         return 0j, path, bend
     total, orders = 0.0, 1 if alike(fields, ONE) else 2
     for order in range(orders):

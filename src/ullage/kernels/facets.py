@@ -244,6 +244,18 @@ def toward(table: Complexes, flat: bool, frames: Floats, o: int, s: int, ux: flo
 
 
 @core(fastmath=True, error_model="numpy")
+def sight(
+    antennas: Antennas, o: int, s: int, x: float, y: float, z: float
+) -> tuple[float, float, float, float, complex]:
+    """Range [m], unit vector and gain from an antenna to a place."""
+    origins = antennas.origins
+    dx, dy, dz = x - origins[o, s, 0], y - origins[o, s, 1], z - origins[o, s, 2]
+    r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+    dx, dy, dz = dx / r, dy / r, dz / r
+    return r, dx, dy, dz, toward(antennas.table, antennas.isotropic, antennas.frames, o, s, dx, dy, dz)
+
+
+@core(fastmath=True, error_model="numpy")
 def same(antennas: Antennas, o: int) -> bool:
     """Whether transmitter and receiver of a radar stand at one place and have one pattern."""
     origins = antennas.origins
@@ -430,7 +442,7 @@ def _corners(
         How far the chord lies beyond the curved path on average [m], the area [m^2], and the products of
         both fields as of `te_share`.
     """
-    origins, base, cosine, tau = antennas.origins, scratch.base, scratch.cosine, scratch.path
+    base, cosine, tau = scratch.base, scratch.cosine, scratch.path
     mono = same(antennas, o)
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
     bulge, share, both, samples = 0.0, 0.0, 0.0, 1 if alike(antennas.fields, o) else 3
@@ -444,13 +456,7 @@ def _corners(
         )
         base[i], cosine[i], tau[i] = 1.0, 0.0, 0.0
         for s in range(1 if mono else 2):
-            dx, dy, dz = (
-                leaves[k, i, 0] - origins[o, s, 0],
-                leaves[k, i, 1] - origins[o, s, 1],
-                leaves[k, i, 2] - origins[o, s, 2],
-            )
-            r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
-            ux, uy, uz = dx / r, dy / r, dz / r
+            r, ux, uy, uz, gain = sight(antennas, o, s, leaves[k, i, 0], leaves[k, i, 1], leaves[k, i, 2])
             if i < samples:
                 te, whole = te_share(antennas.fields, o, ux, uy, uz, nx, ny, nz)
                 share, both = share + te * weight, both + whole * weight
@@ -459,7 +465,7 @@ def _corners(
             far, c = lifted(r, c)
             curve = (ex * ex + ey * ey + ez * ez - along * along) / far
             twice = 2 if mono else 1
-            gain = toward(antennas.table, antennas.isotropic, antennas.frames, o, s, ux, uy, uz) / far
+            gain /= far
             base[i] *= gain * gain if mono else gain
             if s == 1 and cosine[i] * c <= 0:
                 base[i] = 0.0

@@ -20,8 +20,8 @@ from ullage.kernels.facets import (
     _late,
     _reflection,
     same,
+    sight,
     te_share,
-    toward,
     turned,
 )
 from ullage.kernels.loops import core, lean
@@ -111,21 +111,14 @@ def look_at(outline: Outline, normals: Floats, inward: float, spots: Spots, seat
 @core(fastmath=True, error_model="numpy")
 def _weight(rows: Floats, k: int, at: int, lit: LitFaces, face: int, tap: int) -> tuple[complex, float]:
     """Antenna gains times the reflection coefficient at the point rows[k, at : at + 3] of a face; cos(incidence)."""
-    normals, antennas, origins = lit.normals, lit.antennas, lit.antennas.origins
-    o = face if len(origins) > 1 else 0
+    normals, antennas = lit.normals, lit.antennas
+    o = face if len(antennas.origins) > 1 else 0
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
     gain, cosine, share, both = 1.0 + 0j, 0.0, 0.0, 0.0
     for s in range(2):
-        dx, dy, dz = (
-            rows[k, at] - origins[o, s, 0],
-            rows[k, at + 1] - origins[o, s, 1],
-            rows[k, at + 2] - origins[o, s, 2],
-        )
-        r = 1 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
-        ux, uy, uz = dx * r, dy * r, dz * r
+        _, ux, uy, uz, one = sight(antennas, o, s, rows[k, at], rows[k, at + 1], rows[k, at + 2])
         te, whole = te_share(antennas.fields, o, ux, uy, uz, nx, ny, nz)
         share, both = share + 0.5 * te, both + 0.5 * whole
-        one = toward(antennas.table, antennas.isotropic, antennas.frames, o, s, ux, uy, uz)
         gain *= one
         cosine += 0.5 * abs(ux * nx + uy * ny + uz * nz)
         if s == 0 and same(antennas, o):

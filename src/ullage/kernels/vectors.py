@@ -35,6 +35,21 @@ def field_across(field: Floats, direction: Floats, out: Floats | Complexes) -> N
         out[k] /= max(math.sqrt(square), 1e-9)
 
 
+@core(fastmath=True, error_model="numpy")
+def fields_across(fields: Floats, rows: Floats) -> bool:
+    """Bring a sum of directions, row 0, to length 1; rows 1 and 2 get both unit fields across it.
+
+    Returns:
+        Whether the directions do not cancel.
+    """
+    size = math.sqrt(rows[0, 0] ** 2 + rows[0, 1] ** 2 + rows[0, 2] ** 2)
+    for k in range(3):
+        rows[0, k] /= max(size, 1e-6)
+    for s in range(2):
+        field_across(fields[s], rows[0], rows[1 + s])
+    return size >= 1e-6
+
+
 @core(error_model="numpy")
 def mirrored(n: Floats, vector: Floats) -> None:
     """Replace a vector by its image in a plane with unit normal n."""

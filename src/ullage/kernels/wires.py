@@ -17,8 +17,8 @@ from ullage.kernels.facets import (
     Transmission,
     _mean_range,
     alike,
+    sight,
     te_share,
-    toward,
 )
 from ullage.kernels.loops import core, loop
 from ullage.kernels.near import spread
@@ -116,12 +116,9 @@ def _element(
     """
     g, path, bend, sine = 1.0 + 0j, 0.0, 0.0, 0.0
     share, both, w = 0.0, 0.0, pieces.wire[k]
-    origins, fields, points = antennas.origins, antennas.fields, pieces.ends
+    fields, points = antennas.fields, pieces.ends
     for s in range(2):
-        dx, dy, dz = (points[k, end, 0] - origins[o, s, 0], points[k, end, 1] - origins[o, s, 1],
-                      points[k, end, 2] - origins[o, s, 2])  # fmt: skip
-        r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
-        ux, uy, uz = dx / r, dy / r, dz / r
+        r, ux, uy, uz, gain = sight(antennas, o, s, points[k, end, 0], points[k, end, 1], points[k, end, 2])
         along = axis[0] * ux + axis[1] * uy + axis[2] * uz
         slope = math.sqrt(max(1 - along * along, 0.0))
         if alike(fields, o):
@@ -133,7 +130,7 @@ def _element(
         else:
             across, whole = te_share(fields, o, ux, uy, uz, axis[0], axis[1], axis[2])
             share, both = share + 0.5 * (whole - across), both + 0.5 * whole
-        g *= toward(antennas.table, antennas.isotropic, antennas.frames, o, s, ux, uy, uz) * spread(wave, r)
+        g *= gain * spread(wave, r)
         path += max(r - pieces.radii[w] * slope, 0.0)
         bend += (1 - along * along) / r
         sine += 0.5 * slope
