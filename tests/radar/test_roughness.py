@@ -7,7 +7,7 @@ import ullage as ul
 from ullage.geometry import C0
 from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.radar.penetration import coherent
-from ullage.radar.physical import accumulate, echoes
+from ullage.radar.physical import accumulate, echoes, path_gain_cw
 from ullage.radar.roughness import DiffuseScatterers, diffuse_scatterers_of, spectrum
 from ullage.world.materials import material
 from ullage.world.scene import Scene
@@ -84,6 +84,21 @@ def test_the_same_spot_answers_the_same_phase():
     assert abs(a - b).max() < 1e-4 * abs(a).max()
     other = echoes(scene, HERE, RADAR, seed=4)
     assert abs(a - other).max() > 1e-3 * abs(a).max()
+
+
+@pytest.mark.parametrize("liquid", ["water", "sea-water", "oil", "sludge"])
+@pytest.mark.parametrize("height", [1e-3, 3e-3])
+def test_waves_on_a_liquid_weaken_its_mirror_echo(liquid, height):
+    """The mean of the phase over Gaussian heights: exp(-(2 k s)^2 / 2) of the amplitude at right angles [Ament1953]."""
+    plate = ul.scenes.plate(0.6, 0.6, 3.0)
+    calm, waves = (
+        Scene.of_mesh(plate.vertices, plate.faces, name="level", material=material(liquid).but(roughness_m=s))
+        for s in (0.0, height)
+    )
+    mirrored = path_gain_cw(waves, HERE[:1], RADAR)[0] - diffuse(waves, 0)
+    assert mirrored / path_gain_cw(calm, HERE[:1], RADAR)[0] == pytest.approx(
+        np.exp(-2 * (WAVE * height) ** 2), rel=0.03
+    )
 
 
 def test_an_aperture_focuses_it():

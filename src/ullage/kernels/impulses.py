@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from ullage.arrays import Complexes, Floats, Longs
 from ullage.kernels.bounces import reflect_field
-from ullage.kernels.facets import FROM, ONE, TO, Antennas, PulseGrid, toward, turned
+from ullage.kernels.facets import BULK, EDGE, FROM, ONE, TO, Antennas, PulseGrid, _accumulate, toward, turned
 from ullage.kernels.loops import lean
 from ullage.kernels.vectors import dot, field_across, unit_to
 
@@ -75,13 +75,6 @@ def impulses(
         echo[i] = values[i] * turned(omega * landed)  # an echo that arrives one pulse later is the same echo
         while landed < last and values[i] != 0:
             value = values[i] * turned(omega * landed)
-            first = math.floor((landed - t0) / dt)
-            up = (landed - t0) / dt - first
-            down = 1 - up
-            spline = (down**3 / 6, 2 / 3 - up**2 * (2 - up) / 2, 2 / 3 - down**2 * (2 - down) / 2, up**3 / 6)
-            for step in range(4):
-                at = first - 1 + step
-                if 0 <= at < grids.shape[1]:
-                    for kind in range(2):
-                        grids[kind, at] += shares[kind] * spline[step] * value
+            _accumulate(grids, BULK, (landed - t0) / dt, shares[0] * value)
+            _accumulate(grids, EDGE, (landed - t0) / dt, shares[1] * value)
             landed += fold

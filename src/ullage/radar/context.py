@@ -132,6 +132,11 @@ class RadarContext:
         return self.patterns.carrier(self.spec.center_hz)
 
     @property
+    def widest_m(self) -> float:
+        """Facets of curved surfaces wider than this are mirrors of their own [m]: a Fresnel zone at the gate."""
+        return float(np.sqrt(self.spec.wavelength_m * self.gate[1] / 2))
+
+    @property
     def loudest(self) -> float:
         """Largest two-way amplitude gain."""
         return float(self.magnitudes[0].max() * self.magnitudes[-1].max())

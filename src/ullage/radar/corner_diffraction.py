@@ -7,11 +7,12 @@ those between two edges that meet at a corner, of sheets and of solid bodies.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ullage.arrays import Bools, Floats, Ints, Longs
+from ullage.radar.echo_set import Rows
 from ullage.radar.wires import moved
 from ullage.world.smoothing import welded
 
@@ -20,7 +21,7 @@ _LEAST_BEND = 1e-3  # sine of the angle between two normals of a curved surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Corners:
+class Corners(Rows):
     """Corners between two edges of one face, in the frame of their objects."""
 
     places: Floats  # (c, 3) [m]
@@ -30,13 +31,6 @@ class Corners:
     normals: Floats  # (c, 3) unit normals of the face
     widths: Floats  # (c, 2, 2) of both faces of both edges, this face first [m]
     object_ids: Ints  # (c) object
-
-    def __len__(self) -> int:
-        return len(self.object_ids)
-
-    def take(self, index: Bools | Longs) -> Corners:
-        """Select some of them."""
-        return Corners(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
 def face_corners(
@@ -79,11 +73,6 @@ def _flat(normals: Floats, surfaces: Longs) -> Bools:
     bent = np.zeros(len(first))
     np.maximum.at(bent, which, np.linalg.norm(np.cross(normals, normals[first][which]), axis=1))
     return np.asarray(bent[which] < _LEAST_BEND)
-
-
-def joined(parts: list[Corners]) -> Corners:
-    """Join the corners of several bodies."""
-    return Corners(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Corners)))
 
 
 def at_wavelength(corners: Corners, narrow_m: float) -> tuple[Corners, Bools]:

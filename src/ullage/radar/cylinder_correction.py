@@ -80,7 +80,7 @@ class Spots(NamedTuple):
 def accumulate_cylinder_corrections(frame: RadarFrame) -> list[EchoSet]:
     """Add to the delay grids the difference between the arcs of walls and drums and the strips of their meshes."""
     wavelength, gate = frame.context.spec.wavelength_m, frame.context.gate[1]
-    lines = lines_of(frame.quadrics, wavelength / 2, float(np.sqrt(wavelength * gate / 2)))
+    lines = lines_of(frame.quadrics, wavelength / 2, frame.context.widest_m)
     if lines is None:
         return []
     places = _places(frame.antennas, lines, 2 * gate)

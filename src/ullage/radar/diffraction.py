@@ -16,6 +16,7 @@ import numpy as np
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.radar import corner_diffraction as corner
 from ullage.radar import double_diffraction as double
+from ullage.radar.echo_set import Rows
 from ullage.radar.wires import moved
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -30,7 +31,7 @@ _STEP_M = 0.25  # an edge is tested at its middle, and cut so that there is one 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edges:
+class Edges(Rows):
     """Straight edges of conducting bodies, in the frame of their objects."""
 
     starts: Floats  # (w, 3) [m]
@@ -41,13 +42,6 @@ class Edges:
     widths: Floats  # (w, 2) of both faces across the edge [m]
     object_ids: Ints  # (w) object
     surfaces: Longs  # (w, 2) smooth surface on both sides
-
-    def __len__(self) -> int:
-        return len(self.angles)
-
-    def take(self, index: Bools | Longs) -> Edges:
-        """Some of them."""
-        return Edges(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,8 +87,8 @@ def sharp_edges(scene: Scene, still: Raycaster) -> Sharp:
         alone = Scene(scene.vertices, scene.faces[mine], np.zeros(mine.sum(), np.int32), (thing,))
         edges = _free(_edges(alone, np.ones(len(alone.faces), bool)), Raycaster(alone))
         found.append(replace(edges, object_ids=np.full(len(edges), index, np.int32)))
-    joined = Edges(*(np.concatenate([getattr(e, f.name) for e in found]) for f in fields(Edges)))
-    return Sharp(joined, double.strung([_pairs(e) for e in found]), corner.joined([_corners(e) for e in found]))
+    pairs, corners = double.Pairs.joined([_pairs(e) for e in found]), [_corners(e) for e in found]
+    return Sharp(Edges.joined(found), pairs, corner.Corners.joined(corners))
 
 
 def nowhere() -> Sharp:

@@ -10,12 +10,13 @@ the wave also turns at the edge between both.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from ullage.arrays import Bools, Floats, Ints, Longs
+from ullage.radar.echo_set import Rows
 from ullage.radar.wires import moved
 from ullage.world.smoothing import welded
 
@@ -26,7 +27,7 @@ _AT_ONCE = 100_000  # pairs: all of a large mesh would fill the memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
+class Pairs(Rows):
     """Parallel edges of one face, in the frame of their objects."""
 
     starts: Floats  # (p, 3) of the first edge, as far as the second lies beside it [m]
@@ -40,13 +41,6 @@ class Pairs:
     closing_others: Floats  # (p, 2) widths of the faces beyond those edges [m]
     lengths: Floats  # (p) of the first edge [m]
     object_ids: Ints  # (p) object
-
-    def __len__(self) -> int:
-        return len(self.object_ids)
-
-    def take(self, index: Bools | Longs) -> Pairs:
-        """Select some of them."""
-        return Pairs(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
 def facing_pairs(
@@ -148,11 +142,6 @@ def _within(bound: Longs) -> Iterator[tuple[Longs, Longs]]:
         many = count[rows]
         i = np.repeat(rows, many)
         yield i, i + 1 + np.arange(len(i)) - np.repeat(np.cumsum(many) - many, many)
-
-
-def strung(parts: list[Pairs]) -> Pairs:
-    """Join the pairs of several bodies."""
-    return Pairs(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Pairs)))
 
 
 def at_wavelength(pairs: Pairs, narrow_m: float) -> tuple[Pairs, Bools, Bools, Bools]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Self
 
 import numpy as np
 
@@ -14,6 +14,24 @@ from ullage.kernels.facets import EchoSums, Transmission
 Again = Callable[[Complexes, Complexes], None]
 Places = Callable[[], Floats]
 Put = Callable[[Transmission, EchoSums], None]
+
+
+class Rows:
+    """Base of dataclasses that hold one row of each array for each of several things, `object_ids` among them."""
+
+    __slots__ = ()
+
+    def __len__(self) -> int:
+        return len(self.object_ids)  # type: ignore[attr-defined]
+
+    def take(self, index: Bools | Longs) -> Self:
+        """Select some of them."""
+        return type(self)(*(getattr(self, f.name)[index] for f in fields(self)))  # type: ignore[arg-type]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Join those of several bodies."""
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -58,8 +58,7 @@ def accumulate_fermat(frame: RadarFrame) -> list[EchoSet]:
     Echoes that are too weak against those in the grids are left out.
     """
     context, origins = frame.context, frame.antennas.origins
-    narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
-    bodies = bodies_of(tuple(r for r in frame.quadrics if r.widest < narrow))
+    bodies = bodies_of(tuple(r for r in frame.quadrics if r.widest < context.widest_m))
     if not len(bodies):
         return []
     gaps, radii = bodies.gaps(origins), bodies.surfaces.radii

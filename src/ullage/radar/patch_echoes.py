@@ -20,10 +20,9 @@ def accumulate_curved(frame: RadarFrame) -> tuple[list[EchoSet], list[tuple[Bool
         What was added; of each part which small triangles (f) and which flat faces (p) are done so.
     """
     out, spheres = accumulate_spheres(frame)
-    wavelength = frame.context.spec.wavelength_m
-    widest = float(np.sqrt(wavelength * frame.context.gate[1] / 2))
+    context = frame.context
     done = [spheres, *[(None, None)] * (len(frame.parts) - 1)]
-    for k, patches in enumerate(frame.context.world.patches(wavelength, widest, frame.poses)):
+    for k, patches in enumerate(context.world.patches(context.spec.wavelength_m, context.widest_m, frame.poses)):
         if patches is not None:
             out.append(_echoes_of(frame, patches))
             small, planar = done[k]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels import outlines as kernel
+from ullage.radar.echo_set import Rows
 from ullage.world.raycast import Raycaster
 from ullage.world.smoothing import linked, welded
 
@@ -35,7 +36,7 @@ class Faces(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Boxes:
+class Boxes(Rows):
     """Boxes about bodies, along an axis of their own each: they turn as the bodies do."""
 
     centres: Floats  # (m, 3) [m]
@@ -70,9 +71,7 @@ class Backs:
     def joined(parts: Sequence[Backs]) -> Backs:
         """Those of several parts as one."""
         ends = np.cumsum([0, *(len(part.boxes.centres) for part in parts)])
-        boxes = Boxes(
-            *(np.concatenate([getattr(p.boxes, row) for p in parts]) for row in ("centres", "axes", "halves"))
-        )
+        boxes = Boxes.joined([part.boxes for part in parts])
         body = [part.body + end for part, end in zip(parts, ends, strict=False)]
         return Backs(np.concatenate([p.outward for p in parts]), np.concatenate(body).astype(np.int32), boxes)
 
@@ -145,8 +144,7 @@ def behind_skins(sides: Backs, corners: Floats, normals: Floats, faces: Faces, r
     outward[some, 3] = -np.einsum("ni,ni->n", outward[some, :3], corners[some, 0]) - (turn == 0)
     body[some] = len(sides.boxes.centres)
     nowhere = Boxes(np.zeros((1, 3)), np.eye(3)[None], np.full((1, 3), -1.0))
-    rows = (np.concatenate([getattr(b, f.name) for b in (sides.boxes, nowhere)]) for f in fields(Boxes))
-    return Backs(outward, body, Boxes(*rows)), spare
+    return Backs(outward, body, Boxes.joined([sides.boxes, nowhere])), spare
 
 
 def _skins(corners: Floats, normals: Floats, faces: Faces, rays: Raycaster) -> Longs:

@@ -52,12 +52,12 @@ class SpherePart:
 
 def visible_parts(context: RadarContext, antennas: AntennaPair) -> list[SpherePart]:
     """Select the spheres and domes that echo instead of their facets, part by part."""
-    wavelength = context.spec.wavelength_m
-    most, out = np.sqrt(wavelength * context.gate[1] / 2), []
-    middle = antennas.origins.mean(0)
+    middle, out = antennas.origins.mean(0), []
     apart = bistatic_phase_rad(context, antennas)
     for sphere in context.world.spheres:
-        coarse = wavelength / 2 < sphere.widest < most  # finer facets are no grating, coarser ones are mirrors
+        coarse = (
+            context.spec.wavelength_m / 2 < sphere.widest < context.widest_m
+        )  # finer facets are no grating, coarser ones are mirrors
         if coarse and smoothed(context, sphere.object_id):
             parts = _parts(sphere, middle)
             near = min(part.low for part in parts)

@@ -160,8 +160,7 @@ def _both_sides(antennas: AntennaPair) -> list[AntennaPair]:
 
 def _around(frame: RadarFrame) -> Iterator[Quadric]:
     """Find the walls around both antennas with their far side within the gate and facets too narrow for mirrors."""
-    gate_m = frame.context.gate[1]
-    narrow = np.sqrt(frame.context.spec.wavelength_m * gate_m / 2)
+    gate_m, narrow = frame.context.gate[1], frame.context.widest_m
     for wall in frame.quadrics:
         if not wall.is_sphere and wall.radius > LEAST_M and wall.widest < narrow and 2 * wall.radius < gate_m:
             places = wall.local(frame.antennas.origins)
@@ -184,7 +183,7 @@ def planes_of(planar: PlanarPatches, wall: Quadric, sizes: Floats) -> list[Plane
 
 def _within(frame: RadarFrame, wall: Quadric) -> Iterator[tuple[Quadric, float]]:
     """Find the bodies inside a wall with both antennas outside them, of the largest apparent sizes, with weights."""
-    narrow, antennas = np.sqrt(frame.context.spec.wavelength_m * frame.context.gate[1] / 2), frame.antennas
+    narrow, antennas = frame.context.widest_m, frame.antennas
     bodies = [
         b for b in frame.quadrics if b is not wall and b.widest < narrow and wall.holds(b) and _outside(b, antennas)
     ]
@@ -414,8 +413,7 @@ def accumulate_inside(frame: RadarFrame) -> list[EchoSet]:
 def _holds(context: RadarContext, antennas: AntennaPair, sphere: Sphere) -> bool:
     """Return whether both antennas are inside a sphere, and close enough to count as one."""
     whole = 1 - ((1 - sphere.caps[:, 3] / sphere.radius) / 2).sum() > _WHOLE
-    narrow = sphere.widest < np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
-    if not whole or not narrow or not LEAST_M < sphere.radius < context.gate[1]:
+    if not whole or sphere.widest >= context.widest_m or not LEAST_M < sphere.radius < context.gate[1]:
         return False
     room = sphere.radius - sphere.depth - PULL_M - float(np.linalg.norm(antennas.origins - sphere.centre, axis=1).max())
     return room > _NEAR_M and bistatic_phase_rad(context, antennas) < room
