@@ -8,7 +8,7 @@ from typing import NamedTuple
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels.edges import Outline
 from ullage.kernels.loops import core, lean
-from ullage.kernels.vectors import field_across, mirrored, unit_to
+from ullage.kernels.vectors import apart, dot, field_across, mirrored, unit_to
 
 
 class Mirrors(NamedTuple):
@@ -102,10 +102,7 @@ def stand_ins(
         for k in range(3):
             out[which[j], k] = points[j, k]
     for i in range(count):
-        square = 0.0
-        for k in range(3):
-            square += (middle[i, k] - out[i, k]) ** 2
-        share = min((0.02 if cut[i] else 0.1) / max(math.sqrt(square), 1e-9), 0.5)
+        share = min((0.02 if cut[i] else 0.1) / max(apart(middle[i], out[i]), 1e-9), 0.5)
         for k in range(3):
             out[i, k] += share * (middle[i, k] - out[i, k])
 
@@ -113,10 +110,7 @@ def stand_ins(
 @core(error_model="numpy")
 def _cross(image: Floats, target: Floats, normal: Floats, offset: float, out: Floats) -> None:
     """Write the point where the line from an image to a target crosses a face's plane."""
-    here, there = -offset, -offset
-    for k in range(3):
-        here += normal[k] * image[k]
-        there += normal[k] * target[k]
+    here, there = dot(normal, image) - offset, dot(normal, target) - offset
     span = here - there
     share = here / (span if abs(span) > 1e-12 else 1.0)
     share = min(max(share, 0.0), 1.0)
@@ -176,10 +170,7 @@ def middles(first: Ints, edges: Floats, out: Floats) -> None:
         for k in range(3):
             out[i, k] = 0.0
         for e in range(first[i], first[i + 1]):
-            square = 0.0
-            for k in range(3):
-                square += (edges[e, 1, k] - edges[e, 0, k]) ** 2
-            size = math.sqrt(square)
+            size = apart(edges[e, 0], edges[e, 1])
             whole += size
             for k in range(3):
                 out[i, k] += size * 0.5 * (edges[e, 0, k] + edges[e, 1, k])
@@ -208,18 +199,13 @@ def cover(
     for i in range(len(paths)):
         total = 0.0
         for j in range(most + 1):
-            square = 0.0
-            for k in range(3):
-                square += (paths[i, j + 1, k] - paths[i, j, k]) ** 2
-            size[j] = math.sqrt(square)
+            size[j] = apart(paths[i, j], paths[i, j + 1])
             total += size[j]
         before, count = 0.0, count_mirrors(chains[i])
         for step in range(count):
             face, corner = chains[i, step], most - count + 1 + step
             before += size[corner - 1]
-            along = 0.0
-            for k in range(3):
-                along += normals[face, k] * (paths[i, corner + 1, k] - paths[i, corner, k])
+            along = dot(normals[face], paths[i, corner + 1]) - dot(normals[face], paths[i, corner])
             cosine = abs(along) / max(size[corner], 1e-9)
             zone = math.sqrt(wavelength * before * max(total - before, 0.0) / max(total, 1e-9))
             for k in range(2):
@@ -229,7 +215,7 @@ def cover(
 @core(error_model="numpy")
 def reflect_field(gamma: Complexes, object_id: int, n: Floats, u: Floats, field: Complexes) -> None:
     """Replace the field (3) by that after a bounce: Fresnel's coefficients by polarisation, then mirrored."""
-    cosine = abs(n[0] * u[0] + n[1] * u[1] + n[2] * u[2])
+    cosine = abs(dot(n, u))
     place = min(cosine, 1.0) * (gamma.shape[3] - 1)
     i = min(int(place), gamma.shape[3] - 2)
     w = place - i
@@ -295,4 +281,4 @@ def reflect(
             reflect_field(gamma, object_ids[face], normals[face], unit, field)
         unit_to(paths[i, first + count + 1], paths[i, first + count + 2], unit)
         field_across(fields[1], unit, taken)
-        factor[i] *= field[0] * taken[0] + field[1] * taken[1] + field[2] * taken[2]
+        factor[i] *= dot(field, taken)

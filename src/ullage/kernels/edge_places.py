@@ -7,6 +7,7 @@ from typing import NamedTuple
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels.corner_diffraction import Corners
 from ullage.kernels.loops import lean
+from ullage.kernels.vectors import dot
 
 
 class EdgeSides(NamedTuple):
@@ -50,19 +51,14 @@ def facing(edges: EdgeSides, place: Floats, out: Bools) -> None:
     for w in range(len(edges.starts)):
         out[w] = False
         for f in range(1 if edges.transmissive[w] else 2):
-            above = 0.0
-            for k in range(3):
-                above += edges.normals[w, f, k] * (place[k] - edges.starts[w, k])
-            out[w] = out[w] or above > 0
+            out[w] = out[w] or dot(edges.normals[w, f], place) > dot(edges.normals[w, f], edges.starts[w])
 
 
 @lean(error_model="numpy")
 def heights(starts: Floats, normals: Floats, place: Floats, out: Floats) -> None:
     """Heights (p) of a place (3) over faces with unit normals (p, 3) through points (p, 3) [m]."""
     for p in range(len(starts)):
-        out[p] = 0.0
-        for k in range(3):
-            out[p] += normals[p, k] * (place[k] - starts[p, k])
+        out[p] = dot(normals[p], place) - dot(normals[p], starts[p])
 
 
 @lean(error_model="numpy")
@@ -104,10 +100,8 @@ def place_edges(
         for k in range(3):
             out[count + i, k] = 0.5 * (pairs.pieces[i, 0, k] + pairs.pieces[i, 1, k]) + aside * pairs.normals[p, k]
     for i in range(len(met)):
-        c, above = met[i], 0.0
-        for k in range(3):
-            above += corners.normals[c, k] * (place[k] - corners.places[c, k])
-        aside = -off if above < 0 else off
+        c = met[i]
+        aside = -off if dot(corners.normals[c], place) < dot(corners.normals[c], corners.places[c]) else off
         for k in range(3):
             out[count + len(pairs.pieces) + i, k] = corners.places[c, k] + aside * corners.normals[c, k]
     return count

@@ -9,6 +9,7 @@ from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels.edges import FaceOutlines, Outline
 from ullage.kernels.facets import BALL, ONE, TriangleClusters, toward
 from ullage.kernels.loops import core, lean
+from ullage.kernels.vectors import apart, dot
 
 
 class MirrorPaths(NamedTuple):
@@ -61,14 +62,11 @@ class BoundScratch(NamedTuple):
 @core(error_model="numpy")
 def _shone(sphere: Floats, planes: Floats, count: int, one: Floats, other: Floats, gate: float) -> bool:
     """Whether some of a sphere (4) lies in the beams and within the gate of a path that ends at two images."""
-    x, y, z, radius = sphere[0], sphere[1], sphere[2], sphere[3]
-    a = (x - one[0]) ** 2 + (y - one[1]) ** 2 + (z - one[2]) ** 2
-    b = (x - other[0]) ** 2 + (y - other[1]) ** 2 + (z - other[2]) ** 2
-    if 0.5 * (math.sqrt(a) + math.sqrt(b)) - radius > gate:
+    if 0.5 * (apart(sphere, one) + apart(sphere, other)) - sphere[3] > gate:
         return False
     held = True
     for w in range(count):
-        held = held and planes[w, 0] * x + planes[w, 1] * y + planes[w, 2] * z + planes[w, 3] >= -radius
+        held = held and dot(planes[w], sphere) + planes[w, 3] >= -sphere[3]
     return held
 
 
@@ -154,9 +152,7 @@ def _loud(
     for k in range(3):
         axes[2, k] = spheres[p, k] + low * axes[0, k] + 0.5 * (under + over) * axes[1, k]
     for side in range(2):
-        foot = 0.0
-        for k in range(3):
-            foot += axes[0, k] * (ends[side, 2, k] - axes[2, k])
+        foot = dot(axes[0], ends[side, 2]) - dot(axes[0], axes[2])
         foot = min(max(foot, 0.0), high - low)
         for k in range(3):
             places[1 + side, k] = axes[2, k] + foot * axes[0, k]
@@ -214,10 +210,7 @@ def _kept(
 @core(error_model="numpy", forceinline=True)
 def _faced(one: Floats, other: Floats, normal: Floats, offset: float, outward: Floats, inside: bool) -> bool:
     """Whether two images see the same side of a face, of a closed body the outer one unless they are inside its box."""
-    ahead, behind, out = -offset, -offset, outward[3]
-    for k in range(3):
-        ahead, behind = ahead + normal[k] * one[k], behind + normal[k] * other[k]
-        out += outward[k] * one[k]
+    ahead, behind, out = dot(normal, one) - offset, dot(normal, other) - offset, dot(outward, one) + outward[3]
     return not (ahead * behind <= 1e-9 or (out < 0 and not inside))
 
 
@@ -246,21 +239,10 @@ def meet_faces(
         How many pairs there are; only those that fit are written.
     """
     images, planes, counts, spheres, materials = (
-        paths.images,
-        paths.planes,
-        paths.counts,
-        faces.spheres,
-        bounds.materials,
-    )
+        paths.images, paths.planes, paths.counts, faces.spheres, bounds.materials)  # fmt: skip
     count = 0
     for p in items:
-        direct = 0.0
-        for side in range(2):
-            square = 0.0
-            for k in range(3):
-                here = images[0, side, 0, k]
-                square += (spheres[p, k] - here) ** 2
-            direct += 0.5 * math.sqrt(square)
+        direct = 0.5 * (apart(spheres[p], images[0, 0, 0]) + apart(spheres[p], images[0, 1, 0]))
         if direct - spheres[p, 3] > bounds.gate_m:  # no path is shorter
             continue
         for i in range(len(images)):
@@ -278,10 +260,7 @@ def meet_faces(
                 half = math.pi / bounds.wave  # strips narrower than half a wave add up in phase with those beside them
                 met.of[count], met.on[count], met.gains[count] = i, p, kept * gain
                 met.louds[count] = kept * loud * math.sqrt(max(half / max(width, 1e-9), 1.0))
-                here, there = 0.0, 0.0
-                for k in range(3):
-                    here, there = here + (spheres[p, k] - one[k]) ** 2, there + (spheres[p, k] - other[k]) ** 2
-                met.paths[count] = 0.5 * (math.sqrt(here) + math.sqrt(there))
+                met.paths[count] = 0.5 * (apart(spheres[p], one) + apart(spheres[p], other))
             count += 1
     return count
 
@@ -342,16 +321,13 @@ def sift(louds: Floats, paths: Floats, long: float, rest: float, least: float, s
 @core(error_model="numpy")
 def _near(corners: Floats, one: Floats, other: Floats, gate: float) -> bool:
     """Whether some of a ball about a triangle lies within the gate of a path that ends at two images."""
-    square, here, there = 0.0, 0.0, 0.0
+    here, there, longest = 0.0, 0.0, 0.0
     for e in range(3):
-        edge = 0.0
-        for k in range(3):
-            edge += (corners[e, k] - corners[e - 1, k]) ** 2
-        square = max(square, edge)
+        longest = max(longest, apart(corners[e - 1], corners[e]))
     for k in range(3):
         centre = (corners[0, k] + corners[1, k] + corners[2, k]) / 3
         here, there = here + (centre - one[k]) ** 2, there + (centre - other[k]) ** 2
-    return 0.5 * (math.sqrt(here) + math.sqrt(there)) - BALL * math.sqrt(square) <= gate
+    return 0.5 * (math.sqrt(here) + math.sqrt(there)) - BALL * longest <= gate
 
 
 @lean(error_model="numpy")
@@ -377,11 +353,8 @@ def meet_triangles(
             if not _shone(spheres[c], planes[i], counts[i], one, other, gate):
                 continue
             for f in range(first[c], first[c + 1]):
-                out, ahead, behind = outward[f, 3], 0.0, 0.0
-                for k in range(3):
-                    out += outward[f, k] * one[k]
-                    ahead += normals[f, k] * (one[k] - corners[f, 0, k])
-                    behind += normals[f, k] * (other[k] - corners[f, 0, k])
+                out, level = dot(outward[f], one) + outward[f, 3], dot(normals[f], corners[f, 0])
+                ahead, behind = dot(normals[f], one) - level, dot(normals[f], other) - level
                 if ahead * behind > 0 and (out >= 0 or inside[f]):
                     lit[i, f] = _cornered(planes[i], counts[i], corners[f], 0, 3) and _near(
                         corners[f], one, other, gate
@@ -414,8 +387,7 @@ def _cornered(planes: Floats, count: int, starts: Floats, begin: int, end: int) 
     for w in range(count):
         some = False
         for e in range(begin, end):
-            x, y, z = starts[e, 0], starts[e, 1], starts[e, 2]
-            if planes[w, 0] * x + planes[w, 1] * y + planes[w, 2] * z + planes[w, 3] >= 0:
+            if dot(planes[w], starts[e]) + planes[w, 3] >= 0:
                 some = True
                 break
         if not some:

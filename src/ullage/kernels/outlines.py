@@ -26,6 +26,7 @@ from ullage.kernels.facets import (
 )
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import eased, height
+from ullage.kernels.vectors import dot
 
 C0 = 299_792_458.0
 START, STOP = np.int64(0), np.int64(3)  # columns of a piece's ends
@@ -299,10 +300,8 @@ def crossings(
             continue
         p = patches[i]
         o = p if len(origins) > 1 else 0
-        front, back, square = -offsets[p], -offsets[p], 0.0
-        for k in range(3):
-            front += normals[p, k] * origins[o, 1, k]
-            back += normals[p, k] * origins[o, 0, k]
+        front, back = dot(normals[p], origins[o, 1]) - offsets[p], dot(normals[p], origins[o, 0]) - offsets[p]
+        square = 0.0
         ahead, behind = height(front, back), height(back, front)
         for k in range(3):
             points[count, k] = origins[o, 0, k] - (behind + back) * normals[p, k]
@@ -427,9 +426,7 @@ def held_by(centres: Floats, axes: Floats, halves: Floats, origins: Floats, clea
         for s in range(len(origins)):
             out[i, s] = True
             for k in range(3):
-                away = 0.0
-                for j in range(3):
-                    away += axes[i, k, j] * (origins[s, j] - centres[i, j])
+                away = dot(axes[i, k], origins[s]) - dot(axes[i, k], centres[i])
                 out[i, s] = out[i, s] and abs(away) <= halves[i, k] + clear
 
 
@@ -447,9 +444,7 @@ def hidden(outward: Floats, body: Ints, inside: Bools, origins: Floats, opaque: 
     for i in range(len(out)):
         out[i] = opaque[i]
         for s in range(len(origins) if opaque[i] else 0):
-            above = outward[i, 3]
-            for k in range(3):
-                above += outward[i, k] * origins[s, k]
+            above = dot(outward[i], origins[s]) + outward[i, 3]
             out[i] = out[i] and above < 0 and not inside[body[i], s]
 
 
@@ -459,9 +454,7 @@ def limits(
 ) -> None:
     """How far the echoes of faces (p) are followed [m]: to the gate, or `far` where they mirror a radar beyond it."""
     for i in range(len(out)):
-        gap, beside = -offsets[i], 0.0
-        for k in range(3):
-            gap += normals[i, k] * origin[k]
+        gap, beside = dot(normals[i], origin) - offsets[i], 0.0
         out[i] = gate
         if gate - 0.5 < abs(gap) < far:
             for k in range(3):

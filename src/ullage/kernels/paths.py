@@ -15,7 +15,7 @@ from ullage.kernels.lit import spot as shortest
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import LEAST_M
 from ullage.kernels.outlines import held
-from ullage.kernels.vectors import field_across, mirrored, unit_to
+from ullage.kernels.vectors import apart, dot, field_across, mirrored, unit_to
 
 PLANES = 20  # of the beams of both legs of a path: five for each of two mirrors
 
@@ -150,19 +150,11 @@ def lead(
                 for row in range(3):
                     mirrored(n, turned[i, side, row])
                 for w in range(begin, counts[i]):  # those of the mirror before, as seen in this one
-                    along = 0.0
-                    for k in range(3):
-                        along += planes[i, w, k] * n[k]
-                    for k in range(3):
-                        planes[i, w, k] -= 2 * along * n[k]
-                    planes[i, w, 3] += 2 * along * offsets[p]
+                    planes[i, w, 3] += 2 * dot(planes[i, w], n) * offsets[p]
+                    mirrored(n, planes[i, w])
                 _box(across[p], starts, first[p], first[p + 1], box)
                 counts[i] = _beam(apex, n, offsets[p], across[p], box, planes[i], counts[i])
-                gap, square = -offsets[p], 0.0
-                for k in range(3):
-                    gap += n[k] * apex[k]
-                    square += (spheres[p, k] - apex[k]) ** 2
-                least = max(math.sqrt(square) - spheres[p, 3], abs(gap))
+                least = max(apart(spheres[p], apex) - spheres[p, 3], abs(dot(n, apex) - offsets[p]))
             reach[i] += 0.5 * least
 
 
@@ -172,14 +164,14 @@ def _box(axes: Floats, starts: Floats, begin: int, end: int, box: Floats) -> Non
     for a in range(2):
         box[a, 0], box[a, 1] = math.inf, -math.inf
         for e in range(begin, end):
-            place = axes[a, 0] * starts[e, 0] + axes[a, 1] * starts[e, 1] + axes[a, 2] * starts[e, 2]
+            place = dot(axes[a], starts[e])
             box[a, 0], box[a, 1] = min(box[a, 0], place), max(box[a, 1], place)
 
 
 @core(error_model="numpy")
 def _beam(apex: Floats, n: Floats, offset: float, axes: Floats, box: Floats, planes: Floats, made: int) -> int:
     """Add the planes of the beam from an image through a box (2, 2) in its mirror; return how many there are then."""
-    gap = n[0] * apex[0] + n[1] * apex[1] + n[2] * apex[2] - offset
+    gap = dot(n, apex) - offset
     sign = -1.0 if gap > 0 else 1.0
     for k in range(3):
         planes[made, k] = sign * n[k]
@@ -188,17 +180,15 @@ def _beam(apex: Floats, n: Floats, offset: float, axes: Floats, box: Floats, pla
     if abs(gap) < 1e-6:
         return made
     for a in range(2):
-        here = axes[a, 0] * apex[0] + axes[a, 1] * apex[1] + axes[a, 2] * apex[2]
+        here = dot(axes[a], apex)
         for end in range(2):
             # across the mirror a point at depth z behind the image may lie within z / |gap| of the box's side
             inward = 1.0 if end == 0 else -1.0
             slope = -inward * (box[a, end] - here) / abs(gap)
             size = math.sqrt(1 + slope * slope)
-            d = 0.0
             for k in range(3):
                 planes[made, k] = (inward * axes[a, k] + slope * sign * n[k]) / size
-                d -= planes[made, k] * apex[k]
-            planes[made, 3] = d
+            planes[made, 3] = -dot(planes[made], apex)
             made += 1
     return made
 
@@ -218,11 +208,8 @@ def _stops(i: int, side: int, point: Floats, paths: MirrorPaths, flat: FlatFaces
         out[count + 1, k] = point[k]
     for step in range(count, 0, -1):
         p = faces[i, side, step - 1]
-        before, here, there = -offsets[p], -offsets[p], -offsets[p]
-        for k in range(3):
-            before += normals[p, k] * images[i, side, step - 1, k]
-            here += normals[p, k] * images[i, side, step, k]
-            there += normals[p, k] * out[step + 1, k]
+        before = dot(normals[p], images[i, side, step - 1]) - offsets[p]
+        here, there = dot(normals[p], images[i, side, step]) - offsets[p], dot(normals[p], out[step + 1]) - offsets[p]
         # a point in the mirror's plane is not before it, and round-off must not decide
         if before * there <= LEAST_M * abs(before):
             return -1
@@ -305,7 +292,7 @@ def _followed(stops: Floats, faces: Longs, field: Floats, mirrors: Mirrors, last
         p = faces[step]
         before += size
         zone = math.sqrt(wavelength * before * max(total - before, 0.0) / max(total, 1e-9))
-        slope = abs(normals[p, 0] * last[0] + normals[p, 1] * last[1] + normals[p, 2] * last[2])
+        slope = abs(dot(normals[p], last))
         for k in range(2):
             cover *= min(1.0, widths[p, k] * math.sqrt(slope) / max(zone, 1e-9))
         reflect_field(gamma, object_ids[p], normals[p], last, wave)
@@ -334,14 +321,13 @@ def weigh(
         i, cover = of[j], 1.0
         cover *= _followed(stops[rows[j, 0]], faces[i, 0], fields[0], mirrors, sent, there)
         cover *= _followed(stops[rows[j, 1]], faces[i, 1], fields[1], mirrors, taken, back)
-        square = 0.0
         for k in range(3):
             between[k] = sent[k] + taken[k]
-            square += between[k] * between[k]
+        size = max(math.sqrt(dot(between, between)), 1e-9)
         for k in range(3):
-            between[k] /= max(math.sqrt(square), 1e-9)
+            between[k] /= size
         reflect_field(mirrors.gamma, object_ids[j], between, sent, there)
-        out[j] = cover * (there[0] * back[0] + there[1] * back[1] + there[2] * back[2])
+        out[j] = cover * dot(there, back)
 
 
 @lean(error_model="numpy")
@@ -393,13 +379,12 @@ def meet_wires(
             for side in range(2):
                 field_across(axis, coming[side], part[0])
                 _cross(axis, coming[side], part[1])
-                wave = field[side]
-                along *= wave[0] * part[0, 0] + wave[1] * part[0, 1] + wave[2] * part[0, 2]
-                across *= wave[0] * part[1, 0] + wave[1] * part[1, 1] + wave[2] * part[1, 2]
+                along *= dot(field[side], part[0])
+                across *= dot(field[side], part[1])
             across = -across  # the wave goes on against the way in which the receiver's would come
             field_across(coming[0], axis, part[0])
             field_across(coming[1], axis, part[1])
-            cosine = -(part[0, 0] * part[1, 0] + part[0, 1] * part[1, 1] + part[0, 2] * part[1, 2])
+            cosine = -dot(part[0], part[1])
             of[count], on[count] = i, w
             waves[count, 0], waves[count, 1] = along, across
             turns[count] = math.acos(min(max(cosine, -1.0), 1.0))

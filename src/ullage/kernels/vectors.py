@@ -15,9 +15,15 @@ def dot(a: Floats | Complexes, b: Floats) -> complex:
 
 
 @core(error_model="numpy")
+def apart(a: Floats, b: Floats) -> float:
+    """Compute the distance of two points."""
+    return math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+
+
+@core(error_model="numpy")
 def unit_to(a: Floats, b: Floats, out: Floats) -> float:
     """Write the unit vector from one point to another to `out`; return their distance."""
-    size = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+    size = apart(a, b)
     for k in range(3):
         out[k] = (b[k] - a[k]) / max(size, 1e-12)
     return size
