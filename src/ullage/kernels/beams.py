@@ -10,6 +10,7 @@ import numpy as np
 from ullage.arrays import Floats, Ints, Longs
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import height
+from ullage.kernels.vectors import apart
 
 MOST = 96  # corners of a clipped outline
 FACE, LIT, NONE = np.int64(0), np.int64(2), np.int64(-1)  # outlines of faces and mirrors; no mirror. No literals
@@ -290,10 +291,7 @@ def apparent_sizes(
     for i in range(len(out)):
         out[i] = 0.0
         for s in range(len(origins)):
-            square = 0.0
-            for k in range(3):
-                square += (spheres[i, k] - origins[s, k]) ** 2
-            gap = math.sqrt(square) + 1e-3
+            gap = apart(spheres[i], origins[s]) + 1e-3
             if gap - spheres[i, 3] <= gate:
                 zone = math.sqrt(0.5 * wavelength * gap)
                 size = spheres[i, 3] / gap * min(widths[i, 0] / zone, 1.0) * min(widths[i, 1] / zone, 1.0)

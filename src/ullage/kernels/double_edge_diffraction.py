@@ -17,6 +17,7 @@ from ullage.kernels.facets import turned as phasor
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
 from ullage.kernels.outlines import LineEcho, accumulate_pulses
+from ullage.kernels.vectors import apart, dot, unit_to
 
 C0 = 299_792_458.0
 _LEAST_PARTS = 8  # over which the reflection at the edge between changes slowly
@@ -161,11 +162,8 @@ def _forward(x: float, y: float, z: float, t: Floats, sign: float, origins: Floa
 @core(fastmath=True, error_model="numpy")
 def _advance(lines: PairLines, w: int, end: int, t: Floats, size: float, sign: float, origins: Floats) -> float:
     """How far a wave runs along pair w while it crosses the face and turns at its `end`; 0 where no path does [m]."""
-    width2, run = 0.0, 0.0
-    for j in range(3):
-        width2 += lines.gaps[w, j] ** 2
-    corner = lines.ends[w] if end == 1 else lines.starts[w]
-    gap = lines.gaps[w]
+    run, gap, corner = 0.0, lines.gaps[w], lines.ends[w] if end == 1 else lines.starts[w]
+    width2 = dot(gap, gap)
     for _ in range(3):
         back = -sign * min(0.5 * run, size)
         x, y, z = corner[0] + back * t[0], corner[1] + back * t[1], corner[2] + back * t[2]
@@ -199,14 +197,9 @@ def turning(which: Longs, lines: PairLines, origins: Floats, t: Floats, ends: Fl
     for w in which:
         if not lines.closed[w]:
             continue
-        size = 0.0
+        size = unit_to(lines.starts[w], lines.ends[w], t)
         for j in range(3):
-            t[j] = lines.ends[w, j] - lines.starts[w, j]
-            size += t[j] * t[j]
             ends[at, 0, j] = 0.5 * (lines.starts[w, j] + lines.ends[w, j] + lines.gaps[w, j])
-        size = math.sqrt(size)
-        for j in range(3):
-            t[j] /= size
         end = 1 if _forward(ends[at, 0, 0], ends[at, 0, 1], ends[at, 0, 2], t, 1.0, origins) > 0 else 0
         sign = 2.0 * end - 1
         run = _advance(lines, w, end, t, size, sign, origins)
@@ -277,11 +270,8 @@ def _accumulate_turned(
     rows: Floats,
 ) -> None:
     """Add the echo of the paths of one pair that turn; they form a family along the first edge."""
-    w, run, width, wave = pieces.pair[k], 0.0, 0.0, pulse.omega / C0
-    for j in range(3):
-        run += (pieces.ends[k, 1, j] - pieces.ends[k, 0, j]) ** 2
-        width += pairs.gaps[w, j] * pairs.gaps[w, j]
-    run, width, late = math.sqrt(run), math.sqrt(width), between.delay_s[k]
+    w, wave, late = pieces.pair[k], pulse.omega / C0, between.delay_s[k]
+    run, width = apart(pieces.ends[k, 0], pieces.ends[k, 1]), math.sqrt(dot(pairs.gaps[w], pairs.gaps[w]))
     scale = antennas.factor[0] / (4 * math.pi * wave) * between.factor[k]
     reach = min(0.5 * run, pairs.lengths[w] - 0.5 * run)
     strength = scale * _turned_strength(pieces, k, pairs, width, run, wave, antennas, rows)
@@ -335,11 +325,8 @@ def accumulate_doubles(
         sums.echo[k], sums.delay_s[k] = 0j, 0.0
         if between.factor[k] == 0:
             continue
-        w, size, width = pieces.pair[k], 0.0, 0.0
-        for j in range(3):
-            size += (pieces.ends[k, 1, j] - pieces.ends[k, 0, j]) ** 2
-            width += pairs.gaps[w, j] * pairs.gaps[w, j]
-        size, width = math.sqrt(size), math.sqrt(width)
+        w, size = pieces.pair[k], apart(pieces.ends[k, 0], pieces.ends[k, 1])
+        width = math.sqrt(dot(pairs.gaps[w], pairs.gaps[w]))
         if pieces.turns[k]:
             _accumulate_turned(pieces, k, pairs, between, antennas, pulse, sums, rows)
             continue

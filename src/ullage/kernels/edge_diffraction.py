@@ -28,7 +28,7 @@ from ullage.kernels.facets import (
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
 from ullage.kernels.outlines import LineEcho, accumulate_pulses
-from ullage.kernels.vectors import fields_across
+from ullage.kernels.vectors import dot, fields_across, unit_to
 
 C0 = 299_792_458.0
 
@@ -249,15 +249,8 @@ def audible(
     for w in range(len(starts)):
         if not edges.lit[w]:
             continue
-        size = 0.0
-        for k in range(3):
-            t[k] = ends[w, k] - starts[w, k]
-            size += t[k] * t[k]
-        size = max(math.sqrt(size), 1e-9)
-        foot = 0.0
-        for k in range(3):
-            t[k] /= size
-            foot += (origins[0, 0, k] - starts[w, k]) * t[k]
+        size = max(unit_to(starts[w], ends[w], t), 1e-9)
+        foot = dot(origins[0, 0], t) - dot(starts[w], t)
         near = min(max(foot, 0.0), size)
         square = 0.0
         for k in range(3):

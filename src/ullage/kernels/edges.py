@@ -17,6 +17,7 @@ import numpy as np
 from ullage.arrays import Floats, Ints, Longs
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import height
+from ullage.kernels.vectors import apart, dot
 
 C0 = 299_792_458.0
 START, STOP, BEGINS, STOPS, HERE, NEXT = (np.int64(i) for i in range(6))
@@ -87,7 +88,7 @@ class FaceCut(NamedTuple):
 @core(fastmath=True, error_model="numpy")
 def mirror(point: Floats, normal: Floats, offset: float, out: Floats) -> None:
     """The mirror image of a point in the plane normal . x = offset."""
-    gap = 2 * (normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset)
+    gap = 2 * (dot(normal, point) - offset)
     for k in range(3):
         out[k] = point[k] - gap * normal[k]
 
@@ -378,13 +379,9 @@ def _edge(job: FaceCut, size: float, outline: Outline, scratch: CutScratch) -> f
 @core(fastmath=True, error_model="numpy", forceinline=True)
 def _about(spheres: Floats, normals: Floats, p: int, line: Floats) -> tuple[float, bool]:
     """Sign of the side on which the axis leaves face p, and whether the outline may go round the axis."""
-    facing, lead, square = 0.0, 0.0, 0.0
-    for k in range(3):
-        facing += line[2, k] * normals[p, k]
-        lead += (spheres[p, k] - line[0, k]) * line[2, k]
-        square += (spheres[p, k] - line[0, k]) ** 2
-    sign = 1.0 if facing > 0 else -1.0
-    return sign, square - lead * lead <= 1.0001 * spheres[p, 3] * spheres[p, 3]
+    lead = dot(spheres[p], line[2]) - dot(line[0], line[2])
+    sign = 1.0 if dot(line[2], normals[p]) > 0 else -1.0
+    return sign, apart(line[0], spheres[p]) ** 2 - lead * lead <= 1.0001 * spheres[p, 3] * spheres[p, 3]
 
 
 @core(fastmath=True, error_model="numpy", forceinline=True)

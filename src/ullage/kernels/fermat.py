@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from ullage.arrays import Floats, Longs
 from ullage.kernels.loops import core, lean
-from ullage.kernels.vectors import dot, field_across, onto, unit_to
+from ullage.kernels.vectors import apart, dot, field_across, onto, unit_to
 
 PLANE, LINE, CYLINDER, SPHERE = 0, 1, 2, 3
 _HALVES = 5  # most trials of a step
@@ -165,18 +165,13 @@ def _begin(surfaces: Reflectors, chain: Longs, i: int, known: bool, corners: Flo
     for s in range(1, last):
         if kinds[chain[s]] > LINE and not known:
             here, there, back = corners[s, i], normal, corners[s - 1, i]
-            size, onward = max(_apart(back, here), 1e-12), max(_apart(corners[s + 1, i], here), 1e-12)
+            size, onward = max(apart(back, here), 1e-12), max(apart(corners[s + 1, i], here), 1e-12)
             for k in range(3):
                 there[k] = (back[k] - here[k]) / size + (corners[s + 1, i, k] - here[k]) / onward
             for k in range(3):
                 here[k] += there[k]
             _onto(surfaces, chain[s], here, normal)
     _settle(surfaces, chain, corners, i, normal)
-
-
-@core(error_model="numpy")
-def _apart(a: Floats, b: Floats) -> float:
-    return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
 
 @core(error_model="numpy")
@@ -329,7 +324,7 @@ def _move(surfaces: Reflectors, chain: Longs, corners: Floats, i: int, scratch: 
         _settle(surfaces, chain, corners, i, frames[3, 2])
         longer = 1e-12
         for leg in range(many + 1):
-            longer += legs[leg, 3] - _apart(corners[leg, i], corners[leg + 1, i])
+            longer += legs[leg, 3] - apart(corners[leg, i], corners[leg + 1, i])
         if longer > 0:
             break
         share *= 0.5

@@ -10,6 +10,7 @@ import numpy as np
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels.edges import FAR
 from ullage.kernels.loops import core, inner, lean, loop
+from ullage.kernels.vectors import unit_to
 
 C0 = 299_792_458.0
 
@@ -97,16 +98,9 @@ def part(starts: Floats, ends: Floats, origins: Floats, gate: Floats, wave: floa
     at = 0
     along, term, share = np.empty(3), np.empty(3), np.empty(2)
     for w in range(len(starts)):
-        size = 0.0
-        for k in range(3):
-            along[k] = ends[w, k] - starts[w, k]
-            size += along[k] * along[k]
-        size = math.sqrt(size)
-        held[w] = False
+        size, held[w] = unit_to(starts[w], ends[w], along), False
         if size < 1e-9:
             continue
-        for k in range(3):
-            along[k] /= size
         rate = _steep(starts[w], along, 0.0, origins, wave, term)
         steep = abs(term[1]) <= FAR
         if rate * _steep(starts[w], along, size, origins, wave, term) > 0 and steep and abs(term[1]) <= FAR:

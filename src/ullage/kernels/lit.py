@@ -9,7 +9,7 @@ from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels.edges import FaceOutlines, Outline
 from ullage.kernels.facets import BALL, ONE, TriangleClusters, toward
 from ullage.kernels.loops import core, lean
-from ullage.kernels.vectors import apart, dot
+from ullage.kernels.vectors import apart, dot, unit_to
 
 
 class MirrorPaths(NamedTuple):
@@ -107,13 +107,8 @@ def _turn_to_edge(p: int, normals: Floats, first: Ints, starts: Floats, axes: Fl
     longest = 0.0
     for e in range(first[p], first[p + 1]):
         f = e + 1 if e + 1 < first[p + 1] else first[p]
-        square = 0.0
-        for k in range(3):
-            square += (starts[f, k] - starts[e, k]) ** 2
-        if square > longest:
-            longest = square
-            for k in range(3):
-                axes[0, k] = (starts[f, k] - starts[e, k]) / math.sqrt(square)
+        if apart(starts[e], starts[f]) > longest:
+            longest = unit_to(starts[e], starts[f], axes[0])
     for k in range(3):
         a, b = (k + 1) % 3, (k + 2) % 3
         axes[1, k] = normals[p, a] * axes[0, b] - normals[p, b] * axes[0, a]

@@ -23,6 +23,7 @@ from ullage.kernels.facets import (
 from ullage.kernels.loops import core, loop
 from ullage.kernels.near import spread
 from ullage.kernels.outlines import accumulate_line
+from ullage.kernels.vectors import apart, unit_to
 
 C0 = 299_792_458.0
 
@@ -67,10 +68,7 @@ def cut_wires(
     p = np.empty(3)
     for w in range(len(starts)):
         radar = origins[w if len(origins) > 1 else 0]
-        size = 0.0
-        for k in range(3):
-            size += (ends[w, k] - starts[w, k]) ** 2
-        size = math.sqrt(size)
+        size = apart(starts[w], ends[w])
         stack[0, 0], stack[0, 1] = 0.0, 1.0
         top = 1
         while top > 0:
@@ -166,14 +164,11 @@ def accumulate_wires(
         sums.echo[k], sums.delay_s[k] = 0j, 0.0
         if between.factor[k] == 0:
             continue
-        o, size = pieces.wire[k] if len(antennas.origins) > 1 else 0, 0.0
+        o, size = (
+            pieces.wire[k] if len(antennas.origins) > 1 else 0,
+            unit_to(pieces.ends[k, 0], pieces.ends[k, 1], axis),
+        )
         scale = unit * antennas.factor[o]
-        for j in range(3):
-            axis[j] = pieces.ends[k, 1, j] - pieces.ends[k, 0, j]
-            size += axis[j] * axis[j]
-        size = math.sqrt(size)
-        for j in range(3):
-            axis[j] /= size
         w0 = _element(pieces, k, FROM, axis, antennas, o, wave, out)
         path0, bend = out[0], out[1]
         w1 = _element(pieces, k, TO, axis, antennas, o, wave, out)

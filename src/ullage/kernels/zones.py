@@ -9,6 +9,7 @@ from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels.bounces import first_leg
 from ullage.kernels.facets import FROM, ONE, TO, Antennas, toward
 from ullage.kernels.loops import core, lean
+from ullage.kernels.vectors import apart, dot, unit_to
 
 
 @core(error_model="numpy", forceinline=True)
@@ -16,25 +17,10 @@ def _lengths(
     place: Floats, image: Floats, receiver: Floats, normal: Floats, offset: float
 ) -> tuple[float, float, float]:
     """Both legs of a path from its last image over a place (3) to the receiver, and the path over a mirror [m]."""
-    there, back, twice, straight = 0.0, 0.0, -2 * offset, 0.0
-    for k in range(3):
-        there += (place[k] - image[k]) ** 2
-        back += (receiver[k] - place[k]) ** 2
-        twice += 2 * normal[k] * image[k]
+    twice, straight = 2 * (dot(normal, image) - offset), 0.0
     for k in range(3):
         straight += (image[k] - twice * normal[k] - receiver[k]) ** 2
-    return math.sqrt(there), math.sqrt(back), math.sqrt(straight)
-
-
-@core(error_model="numpy", forceinline=True)
-def _sent(path: Floats, out: Floats) -> None:
-    """Unit vector in which a path (d, 3) leaves the transmitter."""
-    first, gone = first_leg(path) + 1, 0.0
-    for k in range(3):
-        gone += (path[first, k] - path[0, k]) ** 2
-    gone = max(math.sqrt(gone), 1e-12)
-    for k in range(3):
-        out[k] = (path[first, k] - path[0, k]) / gone
+    return apart(image, place), apart(place, receiver), math.sqrt(straight)
 
 
 class BeamEnds(NamedTuple):
@@ -94,7 +80,7 @@ def strengths(
         lit = paths[i, paths.shape[1] - 2]
         there, back, straight = _lengths(lit, ends.images[i], ends.receiver, faces.normals[p], faces.offsets[p])
         excess[i] = there + back - straight
-        _sent(paths[i], sent)
+        unit_to(paths[i, 0], paths[i, first_leg(paths[i]) + 1], sent)
         along, aside = 0.0, 0.0
         for k in range(3):
             taken[k] = (lit[k] - ends.receiver[k]) / max(back, 1e-12)
