@@ -56,6 +56,7 @@ def accumulate_diffuse_scatterers(
     most = lobes.shape[2] - 1
     points, normals, object_ids = tiles.points, tiles.normals, tiles.object_ids
     scale, mono = antennas.factor[0] / (4 * math.pi), same(antennas, ONE)
+    ways = 1.0 if mono else 2.0
     for k in range(len(tiles.first) - 1):
         sums.echo[k], sums.delay_s[k] = 0j, 0.0
         if between.factor[k] == 0:
@@ -63,15 +64,14 @@ def accumulate_diffuse_scatterers(
         total = 0.0
         for i in range(tiles.first[k], tiles.first[k + 1]):
             g, path, cosine, share, both = 1.0 + 0j, 0.0, 0.0, 0.0, 0.0
-            for s in range(2):
+            for s in range(1 if mono else 2):
                 r, ux, uy, uz, gain = sight(antennas, ONE, s, points[i, 0], points[i, 1], points[i, 2])
-                if s == 0 or not mono:
-                    te, whole = te_share(antennas.fields, ONE, ux, uy, uz, normals[i, 0], normals[i, 1], normals[i, 2])
-                    share += te if mono else 0.5 * te
-                    both += whole if mono else 0.5 * whole
-                cosine += 0.5 * abs(ux * normals[i, 0] + uy * normals[i, 1] + uz * normals[i, 2])
-                g *= gain * spread(omega / C0, r)
-                path += r
+                te, whole = te_share(antennas.fields, ONE, ux, uy, uz, normals[i, 0], normals[i, 1], normals[i, 2])
+                share, both = share + te / ways, both + whole / ways
+                cosine += abs(ux * normals[i, 0] + uy * normals[i, 1] + uz * normals[i, 2]) / ways
+                gain *= spread(omega / C0, r)
+                g *= gain * gain if mono else gain
+                path += 2 * r / ways
             u = min(cosine, 0.9999999) * most
             j = int(u)
             u -= j
