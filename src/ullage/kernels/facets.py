@@ -465,7 +465,7 @@ def _corners(
             far, c = lifted(r, c)
             curve = (ex * ex + ey * ey + ez * ez - along * along) / far
             twice = 2 if mono else 1
-            gain /= far
+            gain *= 1 / far  # no division of complex numbers
             base[i] *= gain * gain if mono else gain
             if s == 1 and cosine[i] * c <= 0:
                 base[i] = 0.0
