@@ -226,8 +226,8 @@ def _far_field(file: str) -> FarField:
     upright = np.cos(down) * np.cos(around), np.cos(down) * np.sin(around), -np.sin(down) + 0 * around
     aside = -np.sin(around) + 0 * down, np.cos(around) + 0 * down, np.zeros(density.shape[1:])
     local = scale[..., None] * (polar[..., None] * np.stack(upright, -1) + level[..., None] * np.stack(aside, -1))
-    order = np.argsort(power[:, 3], kind="stable")
-    return FarField(power[order, 3], turns, tilts, own, (local @ own)[order])
+    frequency_hz, order = np.unique(power[:, 3], return_index=True)
+    return FarField(frequency_hz, turns, tilts, own, (local @ own)[order])
 
 
 def _planet(text: str, path: Path) -> tuple[Floats, Floats, Floats]:
