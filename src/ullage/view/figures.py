@@ -245,10 +245,15 @@ LINEAR_UNITS = ("thesis",)
 """Units drawn on a linear scale; all others are drawn in decibels."""
 
 
+def decibels(amplitude: ArrayLike) -> Floats:
+    """Return amplitudes in dB, no less than -240."""
+    return np.asarray(20 * np.log10(np.maximum(amplitude, 1e-12)))
+
+
 def _levels(amplitude: ArrayLike, unit: str) -> Floats:
     """Return amplitudes for drawing: in dB, or unchanged."""
     value = np.asarray(amplitude, float)
-    return value if unit in LINEAR_UNITS else np.asarray(20 * np.log10(np.maximum(value, 1e-12)))
+    return value if unit in LINEAR_UNITS else decibels(value)
 
 
 def level_limits(amplitudes: Sequence[ArrayLike], unit: str) -> tuple[float, float]:

@@ -20,11 +20,13 @@ from ullage.errors import InputError, UllageError
 from ullage.files import write_whole
 from ullage.geometry import quat_matrix
 from ullage.view.replay import AMBIGUOUS_CELL, FREE_CELL, OCCUPIED_CELL, read_replay, unpacked
-from ullage.view.viewer_scene import rgba
+from ullage.view.viewer_scene import beam_rim, rgba
 from ullage.view.world_picture import corners_of
 from ullage.world import shapes
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
+from ullage.world.smoothing import face_normals
+from ullage.world.solids import moved
 
 Colors = Floats  # (..., 3) red, green, blue, 0 to 1
 
@@ -64,20 +66,14 @@ def moving_picture(
     """
     if frames < 1 or width_px < 100:
         raise InputError(f"{frames} pictures of {width_px} pixels", where=out, allowed="1 and 100 or more")
-    pictures = list(_pictures(read_replay(run), frames, width_px))
+    show = _Show(read_replay(run), width_px)
+    last = show.frames - 1
+    numbers = np.linspace(0, last, frames).round().astype(int) if frames > 1 else np.array([last])  # one shows the end
+    pictures = [show.picture(int(number)) for number in numbers]
     times = [round(1000 / fps)] * (len(pictures) - 1) + [2500]  # the last one stays for a while
     moving: dict[str, Any] = {"save_all": True, "append_images": pictures[1:], "duration": times, "loop": 0}
     write_whole(out, lambda file: pictures[0].save(file, format="WEBP", quality=quality, method=6, **moving))
     return out
-
-
-def _pictures(tree: Mapping[str, Any], count: int, width_px: int) -> Iterator[Image.Image]:
-    """Render pictures of a replay, evenly over the flight; a single one shows the end."""
-    show = _Show(tree, width_px)
-    last = show.frames - 1
-    numbers = np.linspace(0, last, count).round().astype(int) if count > 1 else np.array([last])
-    for number in numbers:
-        yield show.picture(int(number))
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,10 +210,8 @@ class _Radar:
         self.t, self.color, self.name = unpacked(tree["t"]), str(tree["color"]), str(tree["name"])
         self._position, self._quat = (unpacked(tree[k]).astype(float) for k in ("position", "quat"))
         self._levels, self._far = unpacked(tree["levels"]), float(tree["range_m"][1])
-        wide, tall = (np.tan(np.radians(tree[k]) / 2) for k in ("azimuth_deg", "elevation_deg"))
-        corners_at_reach = np.array([[1, wide, tall], [1, -wide, tall], [1, -wide, -tall], [1, wide, -tall]])
-        corners_at_reach *= min(reach_m, self._far) / np.linalg.norm(corners_at_reach, axis=1, keepdims=True)
-        self._beam = np.array([[np.zeros(3), corners_at_reach[k], corners_at_reach[(k + 1) % 4]] for k in range(4)])
+        rim = beam_rim(tree["azimuth_deg"], tree["elevation_deg"], min(reach_m, self._far))
+        self._beam = np.stack([np.zeros((4, 3)), rim, np.roll(rim, -1, axis=0)], axis=1)
 
     def beam(self, number: int) -> Floats:
         """Return the sides of the beam (4, 3, 3) in the world [m]."""
@@ -298,10 +292,8 @@ def _drone(position: Floats, quat: Floats, span: float) -> Floats:
     """Return arms and rotors of a multirotor of some span, enlarged (f, 3, 3) [m]."""
     parts = []
     for side in (1, -1):
-        vertices, faces = shapes.box((1.0, 0.09, 0.06))
-        turn = np.radians(45 * side)
-        flat = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-        parts.append((vertices @ flat.T)[faces])
+        vertices, faces = moved(shapes.box((1.0, 0.09, 0.06)), yaw_deg=45 * side)
+        parts.append(vertices[faces])
     ring = np.linspace(0, 2 * np.pi, 13)[:-1]
     disc = np.stack([np.cos(ring), np.sin(ring), 0 * ring], axis=1) * 0.24
     for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1)):
@@ -336,8 +328,7 @@ def _cast(eye: Floats, rays: Floats, solids: list[_Solid]) -> tuple[Colors, Floa
         return color, depth
     corners = np.concatenate([one.corners for one in solids])
     owner = np.repeat(np.arange(len(solids)), [len(one.corners) for one in solids])
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    normal, _ = face_normals(corners)
     colors, inside = np.array([to_rgb(one.color) for one in solids]), np.array([one.inside_only for one in solids])
     left, passed = np.arange(len(rays)), np.zeros(len(rays))
     caster = _caster(corners)

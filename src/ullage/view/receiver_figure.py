@@ -50,12 +50,13 @@ def draw_receiver(still: Frames, path: Path, *, counts: tuple[int, int] = (4, 1)
         figure.suptitle(f"Receiver at rest: {len(still)} recorded frames and as many simulated, {spec.counts} counts")
         for name, frames in both.items():
             style = {"color": COLORS[name], "label": name}
-            _direct_path(panels[0], frames, style)
+            panels[0].plot(20 * np.log10(abs(frames.mean(0)[:30])), marker="o", ms=3, lw=1, **style)
             _histogram(panels[1], frames[:, noise_from:], style)
             _correlation(panels[2], frames[:, noise_from:], style)
             _spectrum(panels[3], frames[:, noise_from:], spec, style)
             _stability(panels[4], frames, noise_sigma(spec), style)
-            _phase(panels[5], frames, style)
+            phase = _common_phase(frames)[:200]
+            panels[5].plot((phase - phase.mean()) * 1e3, lw=0.8, **style)
         _finish(panels, noise_sigma(spec))
 
 
@@ -66,10 +67,6 @@ def _steps(frames: Complexes) -> Complexes:
 def _common_phase(frames: Complexes) -> Floats:
     mean = frames.mean(0)[DIRECT]
     return np.asarray(np.angle((frames[:, DIRECT] * mean.conj()).sum(1)))
-
-
-def _direct_path(axes: Axes, frames: Complexes, style: dict[str, Any]) -> None:
-    axes.plot(20 * np.log10(abs(frames.mean(0)[:30])), marker="o", ms=3, lw=1, **style)
 
 
 def _histogram(axes: Axes, noise_bins: Complexes, style: dict[str, Any]) -> None:
@@ -100,11 +97,6 @@ def _stability(axes: Axes, frames: Complexes, floor: float, style: dict[str, Any
         change = np.sqrt((abs(_steps(part)) ** 2).mean(0))[:40]
         label = style["label"] if line == "-" else f"{style['label']}, referred to direct path"
         axes.plot(20 * np.log10(change / floor), line, lw=1, color=style["color"], label=label)
-
-
-def _phase(axes: Axes, frames: Complexes, style: dict[str, Any]) -> None:
-    phase = _common_phase(frames)[:200]
-    axes.plot((phase - phase.mean()) * 1e3, lw=0.8, **style)
 
 
 def _finish(panels: Any, floor: float) -> None:

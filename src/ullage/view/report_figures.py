@@ -13,7 +13,7 @@ from ullage.data import Calibration, Frames, Trajectory
 from ullage.grids import OccupancyMap
 from ullage.processing.own_echo import OwnEcho
 from ullage.radar.explain import Contribution
-from ullage.view.figures import TRUTH_COLOR, UNIT_LABEL, draw_map, drawing
+from ullage.view.figures import TRUTH_COLOR, UNIT_LABEL, decibels, draw_map, drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -92,10 +92,6 @@ def _summary(one: OwnEcho) -> str:
     return f"{100 * one.energy_share:.0f} % of the energy, up to {one.extent_m:.2f} m\n{place}"
 
 
-def _db(amplitude: Floats) -> Floats:
-    return np.asarray(20 * np.log10(np.maximum(amplitude, 1e-12)))
-
-
 def rest_figure(path: Path, still: Mapping[str, Frames], *, title: str) -> Path:
     """Draw the mean profile with its noise, and the correlation of the noise from bin to bin.
 
@@ -110,10 +106,10 @@ def rest_figure(path: Path, still: Mapping[str, Frames], *, title: str) -> Path:
             noise = np.diff(frames.samples, axis=0) / np.sqrt(2)
             sigma = np.sqrt(np.mean(np.abs(noise) ** 2, axis=0))
             mean = np.abs(frames.samples.mean(axis=0))
-            (line,) = profile.plot(frames.range_m, _db(mean), linewidth=1.0)
+            (line,) = profile.plot(frames.range_m, decibels(mean), linewidth=1.0)
             line.set_label(f"{name}: mean, direct path first")
             color = line.get_color()
-            profile.plot(frames.range_m, _db(sigma), ":", color=color, label=f"{name}: noise, rms per bin")
+            profile.plot(frames.range_m, decibels(sigma), ":", color=color, label=f"{name}: noise, rms per bin")
             far = noise[:, len(sigma) // 2 :]
             power = np.mean(np.abs(far) ** 2)
             shared = [np.mean(far[:, : far.shape[1] - k] * far[:, k:].conj()) / power for k in range(LAGS + 1)]
@@ -193,7 +189,7 @@ def explain_figure(
 
 
 def _echoes_in_profile(axes: Axes, frames: Frames, i: int, shown: Sequence[Contribution]) -> None:
-    level = 20 * np.log10(np.maximum(abs(frames.samples[i]), 1e-12))
+    level = decibels(abs(frames.samples[i]))
     axes.plot(frames.range_m, level, color="0.35", lw=1)
     base = float(np.percentile(level, 5))
     top = max([float(level.max()), *(c.path_gain_db for c in shown)], default=0.0)

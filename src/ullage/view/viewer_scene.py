@@ -15,6 +15,7 @@ from ullage.geometry import invert
 from ullage.specs import RadarSpec
 from ullage.view.world_picture import CLEAR, COLORS
 from ullage.world.scene import Scene
+from ullage.world.smoothing import crosses, face_normals
 
 SENSOR_COLORS = ("#4cc9f0", "#f9c74f", "#f3722c", "#90be6d", "#c77dff", "#f28482")
 """Colours of radars, in order."""
@@ -64,7 +65,7 @@ def hull_objects(scene: Scene) -> Bools:
     size = np.ptp(scene.bounds, axis=0)
     surface = 2 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
     corners = scene.corners()
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    area = face_normals(corners)[1]
     out = np.zeros(len(scene.objects), bool)
     for index in range(len(out)):
         mine = scene.face_object == index
@@ -77,13 +78,10 @@ def hull_objects(scene: Scene) -> Bools:
 def _mesh(corners: Floats, color: tuple[int, int, int, int], *, center: Floats | None) -> Any:
     """Make a flat-shaded mesh of triangles (f, 3, 3); with a centre, facing it and visible from that side only."""
     rr = need("rerun", extra="view")
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     side = "DoubleSided"
     if center is not None:
-        turned = turned_inwards(corners, center)
-        normal = np.where((turned != corners).any(axis=(1, 2))[:, None], -normal, normal)
-        corners, side = turned, "Front"
+        corners, side = turned_inwards(corners, center), "Front"
+    normal, _ = face_normals(corners)
     return rr.Mesh3D(
         vertex_positions=corners.reshape(-1, 3).astype(np.float32),
         vertex_normals=np.repeat(normal, 3, axis=0).astype(np.float32),
@@ -94,8 +92,7 @@ def _mesh(corners: Floats, color: tuple[int, int, int, int], *, center: Floats |
 
 def turned_inwards(corners: Floats, center: Floats) -> Floats:
     """Order the corners of triangles (f, 3, 3) so that the front of each is towards a point (3)."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    away = np.einsum("fk,fk->f", normal, center - corners.mean(axis=1)) < 0
+    away = np.einsum("fk,fk->f", crosses(corners), center - corners.mean(axis=1)) < 0
     return np.where(away[:, None, None], corners[:, ::-1], corners)
 
 
@@ -144,19 +141,24 @@ def log_beam(rec: Any, path: str, spec: RadarSpec, color: str) -> None:
     """Draw the radar's -3 dB beam as a faint frustum, in the sensor frame."""
     rr = need("rerun", extra="view")
     reach = float(min(spec.range_m[-1], 2.5))
-    wide, tall = np.tan(np.radians([*beam_deg(spec)]) / 2)
-    rim = reach * np.array([[1, wide, tall], [1, -wide, tall], [1, -wide, -tall], [1, wide, -tall], [1, wide, tall]])
-    rim *= reach / np.linalg.norm(rim, axis=1, keepdims=True)
-    strips = [rim, *(np.stack([np.zeros(3), corner]) for corner in rim[:4])]
+    rim = beam_rim(*beam_deg(spec), reach)
+    strips = [rim[[0, 1, 2, 3, 0]], *(np.stack([np.zeros(3), corner]) for corner in rim)]
     lines = rr.LineStrips3D(strips, colors=rgba(color, 110), radii=rr.Radius.ui_points(0.8))
     rec.log(f"{path}/beam", lines, static=True)
-    fan = np.concatenate([np.zeros((1, 3)), rim[:4]])
+    fan = np.concatenate([np.zeros((1, 3)), rim])
     faces = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]]
     rec.log(
         f"{path}/beam/sides",
         rr.Mesh3D(vertex_positions=fan, triangle_indices=faces, albedo_factor=rgba(color, 22)),
         static=True,
     )
+
+
+def beam_rim(azimuth_deg: float, elevation_deg: float, reach_m: float) -> Floats:
+    """Return the corners (4, 3) of a beam [m] at a distance from the radar, in the sensor frame."""
+    wide, tall = np.tan(np.radians([azimuth_deg, elevation_deg]) / 2)
+    rim = np.array([[1, wide, tall], [1, -wide, tall], [1, -wide, -tall], [1, wide, -tall]])
+    return np.asarray(rim * (reach_m / np.linalg.norm(rim, axis=1, keepdims=True)))
 
 
 def log_rays(rec: Any, path: str, spec: RadarSpec, color: str) -> None:
