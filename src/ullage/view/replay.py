@@ -22,6 +22,7 @@ from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.files import write_whole
+from ullage.flow import Sink
 from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, Image, OccupancyMap
 from ullage.radar.explain import Contribution
 from ullage.untrusted import reason
@@ -42,7 +43,7 @@ UNKNOWN_CELL, FREE_CELL, OCCUPIED_CELL, AMBIGUOUS_CELL = range(4)
 
 
 @dataclass(slots=True)
-class MapHistory:
+class MapHistory(Sink):
     """A sink that keeps at most `most` maps and `most_bytes` bytes of a run, evenly over time."""
 
     gathers: ClassVar[bool] = True
@@ -62,14 +63,10 @@ class MapHistory:
         if self._seen % self._stride == 0:
             self._maps.append((self._now_ns * 1e-9, item))
         self._seen += 1
-        while len(self._maps) > 1 and self._too_many():
-            self._maps, self._stride = self._maps[::2], 2 * self._stride
-
-    def _too_many(self) -> bool:
-        return len(self._maps) > self.most or sum(one.nbytes for _, one in self._maps) > self.most_bytes
-
-    def close(self) -> None:
-        """Nothing is open."""
+        while len(kept := self._maps) > 1 and (
+            len(kept) > self.most or sum(one.nbytes for _, one in kept) > self.most_bytes
+        ):
+            self._maps, self._stride = kept[::2], 2 * self._stride
 
     def maps(self) -> list[tuple[float, OccupancyMap]]:
         """Each kept map with the time of the last frame in it [s]."""

@@ -47,6 +47,7 @@ def write_report(folder: Path, *, origin: Mapping[str, object] | None = None) ->
     """
     settings = _text(folder / "scenario.yaml")
     plan = load_yaml(settings, where=folder / "scenario.yaml")
+    expect = plan.get("expect") or {}
     origin = dict(origin or json.loads(_text(folder / "provenance.json")))
     unfinished = origin.get("state") in {"running", "unfinished"}
     lacking = unfinished and not (folder / "metrics.json").exists()
@@ -62,7 +63,10 @@ def write_report(folder: Path, *, origin: Mapping[str, object] | None = None) ->
         verdict=verdict_lines(folder, findings, metrics),
         objects=[_object(one) for one in findings.get("objects", [])],
         figures=[_figure(path) for path in _pictures(folder)],
-        groups=_groups(metrics, plan.get("expect") or {}),
+        groups=[
+            {"title": title, "rows": [_row(name, metrics[name], expect.get(name) or {}) for name in names]}
+            for title, names in grouped(metrics).items()
+        ],
         settings=settings,
         origin=json.dumps(origin, indent=2),
         style=Markup(_part("report.css")),
@@ -189,13 +193,6 @@ def _figure(path: Path) -> dict[str, str]:
 def _object(one: Mapping[str, Any]) -> dict[str, str]:
     shares = {name: _percent(float(one[name])) for name in ("mapped", "observable")}
     return {"name": one["name"], "state": one["state"], "kind": KINDS.get(one["state"], ""), **shares}
-
-
-def _groups(metrics: Mapping[str, Any], expect: Mapping[str, Mapping[str, float | None]]) -> list[dict[str, Any]]:
-    return [
-        {"title": title, "rows": [_row(name, metrics[name], expect.get(name) or {}) for name in names]}
-        for title, names in grouped(metrics).items()
-    ]
 
 
 def _row(name: str, metric: Mapping[str, Any], bound: Mapping[str, float | None]) -> dict[str, str]:

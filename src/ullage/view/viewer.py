@@ -95,7 +95,8 @@ class ViewerSink(Sink):
             self._bounds = item.bounds
             self._arrange()
         elif isinstance(item, Trajectory):
-            strip = self._rr.LineStrips3D([item.position], colors=rgba("#8d99ae", 120), radii=_points(self._rr, 0.7))
+            thin = self._rr.Radius.ui_points(0.7)
+            strip = self._rr.LineStrips3D([item.position], colors=rgba("#8d99ae", 120), radii=thin)
             self._rec.log("world/trajectory", strip, static=True)
 
     def close(self) -> None:
@@ -138,9 +139,9 @@ class ViewerSink(Sink):
             scene_view.log_beam(self._rec, f"world/radars/{name}", part.spec, shown.color)
             if self._output.rays:
                 scene_view.log_rays(self._rec, f"world/radars/{name}", part.spec, shown.color)
-            arc = rr.LineStrips3D.from_fields(colors=color, radii=_points(rr, 1.5))
+            arc = rr.LineStrips3D.from_fields(colors=color, radii=rr.Radius.ui_points(1.5))
             self._rec.log(f"world/echoes/{name}/arcs", arc, static=True)
-            trail = rr.Points3D.from_fields(colors=rgba(shown.color, 200), radii=_points(rr, 1.6))
+            trail = rr.Points3D.from_fields(colors=rgba(shown.color, 200), radii=rr.Radius.ui_points(1.6))
             self._rec.log(f"world/echoes/{name}/trail", trail, static=True)
 
     def _body(self, part: Frames) -> None:
@@ -160,7 +161,7 @@ class ViewerSink(Sink):
             strips = np.stack([spots[:-1], spots[1:]], axis=1).astype(np.float32)
             columns = self._rr.LineStrips3D.columns(strips=strips)
             self._rec.send_columns("world/flown", indexes=[time_column(times[1:])], columns=columns)
-        style = self._rr.LineStrips3D.from_fields(colors=rgba(scene_view.PATH), radii=_points(self._rr, 1.8))
+        style = self._rr.LineStrips3D.from_fields(colors=rgba(scene_view.PATH), radii=self._rr.Radius.ui_points(1.8))
         self._rec.log("world/flown", style, static=True)
 
     def _profiles(self, shown: _Shown, part: Frames) -> None:
@@ -182,7 +183,7 @@ class ViewerSink(Sink):
         self._rec.send_columns(f"strongest/{name}", indexes=[column], columns=peaks)
         for row in keep[spread(part.t_ns[keep], PROFILE_HZ)]:
             self._set_time(int(part.t_ns[row]))
-            values = np.maximum(level[row] - self._floor_db(), 0).astype(np.float16)
+            values = np.maximum(level[row] - (self._top_db - plots.SPAN_DB), 0).astype(np.float16)
             bars = self._rr.BarChart(values, abscissa=part.range_m.astype(np.float32), color=rgba(shown.color))
             self._rec.log(f"profiles/{name}/now", bars)
         if self._now_ns - shown.pictured_ns >= 1e9 / PICTURE_HZ:
@@ -193,9 +194,6 @@ class ViewerSink(Sink):
         self._set_time(self._now_ns)
         file = self._rr.EncodedImage(contents=shown.picture.png(self._top_db), media_type="image/png")
         self._rec.log(f"profiles/{shown.name}/range_time", file)
-
-    def _floor_db(self) -> float:
-        return self._top_db - plots.SPAN_DB
 
     def _detections(self, hits: Detections) -> None:
         shown = self._sensors.get(hits.sensor)
@@ -262,7 +260,7 @@ class ViewerSink(Sink):
             mine = [one for one in omap.surfaces if one.kind == kind and (one.on_map or kind == "slope")]
             lines = [one.lines(1.5 * omap.grid.step_m, height) for one in mine]
             strips = np.concatenate(lines).astype(np.float32) if lines else np.zeros((0, 2, 3), np.float32)
-            shown = self._rr.LineStrips3D(strips, colors=rgba(color), radii=_points(self._rr, 1.5))
+            shown = self._rr.LineStrips3D(strips, colors=rgba(color), radii=self._rr.Radius.ui_points(1.5))
             if omap.surfaces:
                 self._rec.log(f"world/surfaces/{kind}", shown)
 
@@ -317,7 +315,7 @@ class ViewerSink(Sink):
             label=plots.unit_label(parts[0].unit),
             placed=placed,
             trails=["world/flown", *(f"world/echoes/{name}/trail" for name in names)],
-            profile_floor=f"{self._floor_db():g}",
+            profile_floor=f"{self._top_db - plots.SPAN_DB:g}",
         )
         self._rec.send_blueprint(blueprint, make_active=True, make_default=True)
 
@@ -351,7 +349,3 @@ def spread(t_ns: Longs, rate_hz: float) -> Longs:
 def _centers(grid: Grid, cells: Longs) -> Singles:
     axes = (grid.x_m[cells[:, 2]], grid.y_m[cells[:, 1]], grid.z_m[cells[:, 0]])
     return np.stack(axes, axis=1).astype(np.float32)
-
-
-def _points(rr: Any, size: float) -> Any:
-    return rr.Radius.ui_points(size)

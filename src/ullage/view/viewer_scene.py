@@ -43,7 +43,7 @@ def entity(*names: str) -> str:
 
 def log_scene(rec: Any, scene: Scene) -> None:
     """Draw every object; hull walls are visible from inside only, so that holds and rooms are open to the eye."""
-    hull = hull_objects(scene)
+    rr, hull = need("rerun", extra="view"), hull_objects(scene)
     for index, thing in enumerate(scene.objects):
         mine = scene.face_object == index
         wires = scene.wires.object_id == index
@@ -55,7 +55,9 @@ def log_scene(rec: Any, scene: Scene) -> None:
             center = scene.bounds.mean(axis=0) if hull[index] and thing.motion is None else None
             rec.log(path, _mesh(corners, rgba(color, alpha), center=center), static=True)
         if wires.any():
-            rec.log(f"{path}/wires", _wires(scene, wires), static=True)
+            strips = np.stack([scene.wires.start[wires], scene.wires.end[wires]], axis=1).astype(np.float32)
+            lines = rr.LineStrips3D(strips, radii=rr.Radius.ui_points(0.8), colors=rgba("#f1faee"))
+            rec.log(f"{path}/wires", lines, static=True)
         if thing.motion is not None:
             log_poses(rec, path, thing.motion.at(thing.motion.t_ns))
 
@@ -94,12 +96,6 @@ def turned_inwards(corners: Floats, center: Floats) -> Floats:
     """Order the corners of triangles (f, 3, 3) so that the front of each is towards a point (3)."""
     away = np.einsum("fk,fk->f", crosses(corners), center - corners.mean(axis=1)) < 0
     return np.where(away[:, None, None], corners[:, ::-1], corners)
-
-
-def _wires(scene: Scene, mine: Bools) -> Any:
-    rr = need("rerun", extra="view")
-    strips = np.stack([scene.wires.start[mine], scene.wires.end[mine]], axis=1).astype(np.float32)
-    return rr.LineStrips3D(strips, radii=rr.Radius.ui_points(0.8), colors=rgba("#f1faee"))
 
 
 def log_poses(rec: Any, path: str, poses: Trajectory) -> None:
