@@ -6,10 +6,10 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
@@ -40,16 +40,22 @@ __all__ = [
 TRUTH_COLOR = "#d1495b"
 
 
+def new_figure(size_in: tuple[float, float], *, layout: Literal["constrained", "compressed"] = "constrained") -> Figure:
+    """Make a figure that is drawn to a file, without a window."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size_in, layout=layout)
+    FigureCanvasAgg(figure)
+    return figure
+
+
 @contextmanager
 def drawing(
     path: str | Path, *, size_in: tuple[float, float] = (7.0, 5.0), columns: int = 1
 ) -> Iterator[tuple[Figure, Any]]:
     """Make a figure that is written to `path` at the end, under a temporary name until complete."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size_in, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(size_in)
     axes = figure.subplots(1, columns)
     yield figure, axes
     fit_titles(figure)
@@ -118,16 +124,12 @@ def draw_map(
     draw_plan(axes, walls=walls, path=path, marks=marks)
     known = np.argwhere(plane_of(omap, level) != UNKNOWN)
     if len(known):
-        _zoom(axes, omap, known)
+        low, high = known.min(0), known.max(0)
+        x, y, pad = omap.grid.x_m, omap.grid.y_m, 5 * omap.grid.step_m
+        left, right, bottom, top = omap.grid.extent_m
+        axes.set_xlim(max(x[low[1]] - pad, left), min(x[high[1]] + pad, right))
+        axes.set_ylim(max(y[low[0]] - pad, bottom), min(y[high[0]] + pad, top))
     return mesh
-
-
-def _zoom(axes: Axes, omap: OccupancyMap, known: NDArray[Any]) -> None:
-    low, high = known.min(0), known.max(0)
-    x, y, pad = omap.grid.x_m, omap.grid.y_m, 5 * omap.grid.step_m
-    left, right, bottom, top = omap.grid.extent_m
-    axes.set_xlim(max(x[low[1]] - pad, left), min(x[high[1]] + pad, right))
-    axes.set_ylim(max(y[low[0]] - pad, bottom), min(y[high[0]] + pad, top))
 
 
 def draw_plan(

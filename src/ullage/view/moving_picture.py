@@ -192,11 +192,12 @@ class _Show:
         out.paste(world)
         pen = ImageDraw.Draw(out)
         edge: dict[str, Any] = {"stroke_width": 2, "stroke_fill": tuple(int(255 * v) for v in SKY)}
-        pen.text((12, 8), f"{t:5.1f} s", fill=INK, font=_font(18), **edge)
-        pen.text((12, 32), "amber: occupied, green: free", fill=SOFT, font=_font(12), **edge)
+        small = ImageFont.load_default(12)
+        pen.text((12, 8), f"{t:5.1f} s", fill=INK, font=ImageFont.load_default(18), **edge)
+        pen.text((12, 32), "amber: occupied, green: free", fill=SOFT, font=small, **edge)
         if missed := [one["name"] for one in (self._tree["world"] or {"objects": []})["objects"]
                       if one["state"] == "missed"]:  # fmt: skip
-            pen.text((12, 48), f"red: missed ({', '.join(missed)})", fill=rgba(MISSED), font=_font(12), **edge)
+            pen.text((12, 48), f"red: missed ({', '.join(missed)})", fill=rgba(MISSED), font=small, **edge)
         wide = world.width / len(self._radars)
         for k, radar in enumerate(self._radars):
             radar.plot(pen, number, (k * wide + 8, world.height + 4, (k + 1) * wide - 8, out.height - 6))
@@ -226,8 +227,8 @@ class _Radar:
         y = bottom - 12 - level * (bottom - top - 30)
         pen.line([(left, bottom - 12), (right, bottom - 12)], fill=SOFT)
         pen.line(list(zip(x.tolist(), y.tolist(), strict=True)), fill=rgba(self.color), width=2)
-        pen.text((left, top), self.name, fill=rgba(self.color), font=_font(12))
-        pen.text((right - 34, bottom - 12), f"{self._far:.0f} m", fill=SOFT, font=_font(11))
+        pen.text((left, top), self.name, fill=rgba(self.color), font=ImageFont.load_default(12))
+        pen.text((right - 34, bottom - 12), f"{self._far:.0f} m", fill=SOFT, font=ImageFont.load_default(11))
 
 
 class _Map:
@@ -350,10 +351,6 @@ def _cast(eye: Floats, rays: Floats, solids: list[_Solid]) -> tuple[Colors, Floa
 def _caster(corners: Floats) -> Raycaster:
     faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
     return Raycaster(Scene.of_mesh(corners.reshape(-1, 3), faces, name="picture"))
-
-
-def _font(size: int) -> Any:
-    return ImageFont.load_default(size)
 
 
 def main(arguments: list[str]) -> int:

@@ -22,6 +22,7 @@ from ullage.view.figures import (
     draw_profile,
     draw_range_time,
     level_limits,
+    new_figure,
 )
 from ullage.world.scene import Scene
 from ullage.world.section import section
@@ -212,11 +213,7 @@ def html(thing: Any) -> str:
         need("matplotlib")
     except MissingExtra:
         return text
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.0, 4.5), layout="compressed")
-    FigureCanvasAgg(figure)
+    figure = new_figure((7.0, 4.5), layout="compressed")
     _PLOTS[type(thing)](thing, figure.subplots())
     out = io.BytesIO()
     figure.savefig(out, format="png", dpi=DPI)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from ullage.arrays import Complexes, Floats
 from ullage.data import Frames
@@ -13,9 +14,6 @@ from ullage.errors import InputError
 from ullage.radar.receiver import noise_sigma, receive, unit
 from ullage.specs import RadarSpec
 from ullage.view.figures import drawing
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 COLORS = {"recorded": "#22577a", "simulated": "#d1495b"}
 DIRECT = slice(0, 8)

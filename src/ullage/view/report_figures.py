@@ -77,7 +77,9 @@ def own_echo_figure(path: Path, found: Mapping[str, OwnEcho], *, title: str = ""
             panel.plot(one.range_m, one.remaining_db, color="#2e86ab", linewidth=1.0, label="remains")
             panel.axvspan(one.range_m[0], one.extent_m, color="0.93", zorder=0)
             panel.set(xlabel="range [m]", title=name)
-            panel.text(0.98, 0.98, _summary(one), transform=panel.transAxes, ha="right", va="top", fontsize=7)
+            place = "track unknown" if not one.places else f"{one.places} places, ambiguity {one.ambiguity:.2f}"
+            text = f"{100 * one.energy_share:.0f} % of the energy, up to {one.extent_m:.2f} m\n{place}"
+            panel.text(0.98, 0.98, text, transform=panel.transAxes, ha="right", va="top", fontsize=7)
             panel.grid(alpha=0.3)
         first = np.atleast_1d(axes)[0]
         first.set_ylabel("power [dB], in the frames' unit")
@@ -85,11 +87,6 @@ def own_echo_figure(path: Path, found: Mapping[str, OwnEcho], *, title: str = ""
                       frameon=False)  # fmt: skip
         figure.suptitle(title, fontsize=10)
     return path
-
-
-def _summary(one: OwnEcho) -> str:
-    place = "track unknown" if not one.places else f"{one.places} places, ambiguity {one.ambiguity:.2f}"
-    return f"{100 * one.energy_share:.0f} % of the energy, up to {one.extent_m:.2f} m\n{place}"
 
 
 def rest_figure(path: Path, still: Mapping[str, Frames], *, title: str) -> Path:

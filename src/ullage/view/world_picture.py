@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from ullage.arrays import Bools, Floats
 from ullage.errors import InputError
+from ullage.view.figures import new_figure
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene, Wires
 from ullage.world.section import section, wire_section
@@ -75,15 +77,11 @@ def world_picture(
     Raises:
         InputError: the world is empty.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     low, high = scene.bounds
     if not (high > low).any():
         raise InputError("there is nothing to draw", where=scene.name)
     top = float(high[2]) if cut_height_m is None else cut_height_m
-    figure = Figure(figsize=(11.0, 4.9), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure((11.0, 4.9))
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
     paint = _Paint(scene, colors)
     box = np.array([low, [high[0], high[1], top]])
@@ -189,10 +187,8 @@ class _Paint:
         clear = np.array([name in CLEAR for name in names], bool)
         self.wires = scene.wires
         self.all = Raycaster(scene, wires=True)
-        solid = Scene(
-            scene.vertices, scene.faces[~clear[scene.face_object]], scene.face_object[~clear[scene.face_object]],
-            scene.objects, scene.wires, scene.name,
-        )  # fmt: skip
+        shown = ~clear[scene.face_object]
+        solid = replace(scene, faces=scene.faces[shown], face_object=scene.face_object[shown], corner_normals=None)
         self.solid = Raycaster(solid, wires=True) if clear.any() else self.all
 
     def picture(self, eye: _Eye, keep: list[tuple[Floats, float]]) -> tuple[Floats, Floats]:
