@@ -45,7 +45,6 @@ class ImcDrone(Drone):
         self._follow = Follow(self._link, z=options.z, radius_m=1.0, log=warn)
         self._limit_m_s, self._plan = options.limit_m_s, ""  # why its plan is not ours
         self._runs = False  # our plan was reported to run
-        self._last: BodyState | None = None
 
     @property
     def away(self) -> str:  # type: ignore[override]
@@ -69,10 +68,6 @@ class ImcDrone(Drone):
             for found in self._track.take(packet):
                 self._follow.vehicle = self._track.followed
                 yield found.item
-
-    def _state(self, data: BodyState) -> BodyState:
-        self._last = data
-        return data
 
     def steer(self, velocity: Velocity) -> None:
         """Let it hover where it is: it takes no velocities."""

@@ -17,7 +17,7 @@ from ullage.flight.pilot import HOVER, Velocity
 from ullage.geometry import invert, quat_rpy
 from ullage.ports.drone import Drone
 from ullage.ports.intake import warn
-from ullage.ports.mavlink.brake import BRAKE, COPTERS
+from ullage.ports.mavlink.brake import ASK_S, ASKS, BRAKE, COPTERS
 from ullage.ports.mavlink.link import leave, open_link
 from ullage.ports.mavlink.options import DroneOptions
 from ullage.ports.mavlink.source import LOCAL_NED, PoseFeed, origin_of
@@ -27,8 +27,6 @@ from ullage.ports.pose_events import BodyState, Notice
 PX4_HOLD = (4, 3)  # AUTO, LOITER
 ONLY_VELOCITY, ONLY_POSE = 0x5C7, 0x9F8
 """POSITION_TARGET_TYPEMASK of velocity and yaw rate, and of position and yaw."""
-ASK_S, ASKS = 0.2, 5
-"""Between two requests without an answer, and how many."""
 
 
 class MavlinkDrone(Drone):
@@ -50,7 +48,6 @@ class MavlinkDrone(Drone):
         self._link = open_link(place, options, role="source", log=warn)
         super().__init__("poses", self._link.counters)
         self._heartbeat: Any = None
-        self._last: BodyState | None = None
         self._answers: dict[int, int] = {}  # result by command
         self._link.watchers.append(self._take)
         try:
@@ -100,10 +97,6 @@ class MavlinkDrone(Drone):
                 warn(found.text)
             else:
                 yield found
-
-    def _state(self, data: BodyState) -> BodyState:
-        self._last = data
-        return data
 
     def steer(self, velocity: Velocity) -> None:
         """Command a velocity in the level frame of the heading."""
