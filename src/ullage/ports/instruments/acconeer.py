@@ -141,13 +141,12 @@ class A121:
                 continue
             if result.calibration_needed:
                 raise InputError("its temperature changed, so that it calibrates anew", where=self.place)
-            gap = round((result.tick - last) / self._ticks_hz * self.spec.fps) - 1 if last is not None else 0
             last, self._temperature_c = result.tick, result.temperature
             self._frames += 1
             self._saturated += bool(result.data_saturated)
             self._late += bool(result.frame_delayed)
             samples = np.conj(result.frame[0]).astype(np.complex64)  # the phase falls with range, as in a file
-            yield Scan(samples, last / self._ticks_hz, arrived_s, max(gap, 0))
+            yield Scan(samples, last / self._ticks_hz, arrived_s)
 
     def close(self) -> None:
         """Let the sensor stop, and close the line."""

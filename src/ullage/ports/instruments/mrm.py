@@ -167,7 +167,6 @@ class MrmRadar:
             OSError: the radar is silent for too long.
         """
         heard_s, waiting = time.monotonic(), dict[tuple[int, int], dict[int, NDArray[Any]]]()
-        last_s: float | None = None
         while time.monotonic() - heard_s < SILENCE_S:
             packet = self._receive()
             arrived_s = time.time()
@@ -185,10 +184,7 @@ class MrmRadar:
                 for old in [old for old in waiting if old[1] < key[1]]:  # their packets will not come any more
                     del waiting[old]
                 samples = np.concatenate([whole[k] for k in range(parts)])[: self.spec.bins]
-                device_s = 1e-3 * key[1]
-                gap = round((device_s - last_s) * self.spec.fps) - 1 if last_s is not None else 0
-                last_s = device_s
-                yield Scan(samples.astype(np.float32), device_s, arrived_s, max(gap, 0))
+                yield Scan(samples.astype(np.float32), 1e-3 * key[1], arrived_s)
             while len(waiting) > MOST_WAITING:
                 del waiting[next(iter(waiting))]
         raise TimeoutError(0, f"silent for {SILENCE_S:g} s")

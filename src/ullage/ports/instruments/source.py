@@ -43,7 +43,6 @@ class Scan(NamedTuple):
     samples: NDArray[Any]  # (b)
     device_s: float  # time on the instrument's clock [s]
     arrived_s: float  # on this computer's clock [s]
-    lost: int = 0  # scans before it that did not come whole
 
 
 class Instrument(Protocol):
@@ -215,11 +214,12 @@ class InstrumentSource(LiveSource):
     def _receive(self) -> None:
         """Take scans until the end; where the instrument is gone, wait for it."""
         while not self._leaving.is_set():
+            before_s: float | None = None
             try:
                 for scan in self._instrument.scans():
-                    if scan.lost:
-                        self.counters.receive(self._name, scan.lost)
-                        self.counters.drop(self._name, "lost", "did not come whole", count=scan.lost)
+                    if before_s is not None:
+                        self._count_lost(scan.device_s - before_s)
+                    before_s = scan.device_s
                     self._inbox.put(scan, topic=self._name, size=scan.samples.nbytes)
                     if self._leaving.is_set():
                         break
@@ -228,6 +228,13 @@ class InstrumentSource(LiveSource):
                     self._inbox.put(f"{self.where}: {_why(error)}; waiting for it")
                     self._await()
         self._instrument.close()
+
+    def _count_lost(self, step_s: float) -> None:
+        """Count the scans that are missing in a step of the instrument's clock."""
+        lost = round(step_s * self._instrument.spec.fps) - 1
+        if lost > 0:
+            self.counters.receive(self._name, lost)
+            self.counters.drop(self._name, "lost", "did not come whole", count=lost)
 
     def _await(self) -> None:
         self._instrument.close()

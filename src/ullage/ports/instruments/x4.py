@@ -188,8 +188,7 @@ class X4Module:
         self._counter = data.information
         samples = np.empty(bins, np.complex64)
         samples.real, samples.imag = data.values[:bins], data.values[bins:]
-        lost = data.information - before - 1 if before is not None and data.information > before else 0
-        return Scan(samples, data.information / self.spec.fps, arrived_s, lost)
+        return Scan(samples, data.information / self.spec.fps, arrived_s)
 
     def close(self) -> None:
         """Let the X4 rest, and close the line."""
