@@ -60,7 +60,7 @@ def udp(number: int, name: str, place: str = "", **options: float) -> AbstractCo
 
 
 def names(link: Link, wanted: str) -> bool:
-    return until(lambda: any(packet.name == wanted for packet in link.receive(0.1)))
+    return until(lambda: any(packet.name == wanted for packet in link.arriving(0.1)))
 
 
 def test_a_server_that_comes_late_is_waited_for() -> None:
@@ -238,7 +238,7 @@ def test_two_peers_find_each_other_and_talk() -> None:
     with udp(0x9001, "one") as (one, _), udp(0x9002, "two") as (two, _):
         assert until(lambda: one.connected and two.connected)
         one.send(make("TextMessage", origin="one", text="hello"))
-        assert until(lambda: any(p.name == "TextMessage" and p["text"] == "hello" for p in two.receive(0.1)))
+        assert until(lambda: any(p.name == "TextMessage" and p["text"] == "hello" for p in two.arriving(0.1)))
         two.send(make("Abort"))
         assert names(one, "Abort")
 
@@ -313,7 +313,7 @@ def test_who_has_not_announced_itself_is_not_listened_to_and_noise_does_no_harm(
             stranger.sendto(rng.randbytes(500), ("127.0.0.1", port))
         stranger.sendto(estimated_state(1.7e9, 0, 0, 0, 0), ("127.0.0.1", port))
         time.sleep(0.3)
-        assert one.receive(0.1) == []
+        assert list(one.arriving(0.1)) == []
         services = f"imc+udp://127.0.0.1:{stranger.getsockname()[1]}/".encode()
         stranger.sendto(announce(1.7e9, services=services), ("127.0.0.1", port))
         stranger.sendto(estimated_state(1.7e9, 0, 0, 0, 0), ("127.0.0.1", port))

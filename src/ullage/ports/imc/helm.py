@@ -280,7 +280,7 @@ class Helm:
     def _run(self) -> None:
         try:
             while not self._ending and not self._link.finished:
-                for packet in self._link.receive(0.01):
+                for packet in self._link.arriving(0.01):
                     self._carry_out(packet)
                     self._take(packet)
                 if fresh := self._fly():

@@ -10,7 +10,6 @@ from typing import Literal
 from ullage.flow import Closing
 from ullage.ports.imc.codec import NOBODY, Message, Packet, compile_kernels, encode, make, readable
 from ullage.ports.imc.options import LinkOptions, endpoint
-from ullage.ports.imc.table import Table
 from ullage.ports.imc.wires import OUTBOX_BYTES, Entity, Identity, TcpWire, UdpWire
 from ullage.ports.intake import Counters, Inbox, Log, Once
 from ullage.ports.network import SharedLinks
@@ -27,23 +26,18 @@ class Link(Closing):
     """Send and receive messages in the background.
 
     Args:
-        wire: carries the bytes.
+        wire: carries the bytes; its table, log and counters are the link's too.
         me: our identity.
-        table: the messages.
-        log: takes lines for the user: that the link waits, that a peer has gone.
-        counters: count damaged and dropped messages.
-        listens: whether the caller uses `receive`.
+        listens: whether the caller takes what arrives.
     """
 
-    def __init__(
-        self, wire: TcpWire | UdpWire, me: Identity, table: Table, log: Log, counters: Counters, *, listens: bool = True
-    ) -> None:
-        self.wire, self.me, self.table, self.listens = wire, me, table, listens
-        self._log, self.counters = log, counters
-        self.out: Inbox[bytes] = Inbox(counters, most_bytes=OUTBOX_BYTES, received=False)
-        self.events: Inbox[Packet] = Inbox(counters, most=INBOX, received=False)
+    def __init__(self, wire: TcpWire | UdpWire, me: Identity, *, listens: bool = True) -> None:
+        self.wire, self.me, self.listens = wire, me, listens
+        self.table, self._log, self.counters = wire.table, wire.log, wire.counters
+        self.out: Inbox[bytes] = Inbox(self.counters, most_bytes=OUTBOX_BYTES, received=False)
+        self.events: Inbox[Packet] = Inbox(self.counters, most=INBOX, received=False)
         self._ending = False
-        self._once = Once(log)
+        self._once = Once(self._log)
         self._error: BaseException | None = None
         compile_kernels()
         self._thread = threading.Thread(target=self._run, name="imc", daemon=True)
@@ -82,12 +76,8 @@ class Link(Closing):
                 self.enter(entity)
         self.listens = self.listens or listens
 
-    def receive(self, timeout_s: float = 0.25) -> list[Packet]:
-        """Return the packets that wait, `AT_ONCE` at most; wait for one until the timeout."""
-        return list(self.arriving(timeout_s))
-
     def arriving(self, timeout_s: float) -> Iterator[Packet]:
-        """Give the same one by one; what is not taken waits on, and may come to wait too long."""
+        """Give the packets that wait, `AT_ONCE` at most; wait for one until the timeout. What is not taken waits on."""
         for count in range(AT_ONCE):
             packet = self.events.get(0.0 if count or self._ending else timeout_s)
             if packet is None:
@@ -129,7 +119,7 @@ class Link(Closing):
     def _run(self) -> None:
         try:
             self._loop()
-        except BaseException as error:  # `receive` raises it
+        except BaseException as error:  # `arriving` raises it
             self._error = error
         finally:
             self._ending = True
@@ -226,13 +216,9 @@ def open_link(place: str, options: LinkOptions, me: Identity, *, role: Role, log
     key = (where, me.system_id, me.name, options.interface, options.port, options.xml)
 
     def make_link() -> Link:
-        table, counters = options.table(), Counters(log)
-        wire = (
-            TcpWire((host, port), options, table, log, counters)
-            if kind == "tcp"
-            else UdpWire((host, port) if kind else None, me, options, table, log, counters)
-        )
-        return Link(wire, me, table, log, counters, listens=role != "sink")
+        common = options, options.table(), log, Counters(log)
+        wire = TcpWire((host, port), *common) if kind == "tcp" else UdpWire((host, port) if kind else None, me, *common)
+        return Link(wire, me, listens=role != "sink")
 
     if role == "vehicle":
         return make_link()
@@ -242,6 +228,5 @@ def open_link(place: str, options: LinkOptions, me: Identity, *, role: Role, log
     return link
 
 
-def leave(link: Link, role: Role) -> None:
-    """Close the link, unless the other role still uses it."""
-    _links.leave(link, role)
+leave = _links.leave
+"""Closes a link, unless its other role still uses it."""

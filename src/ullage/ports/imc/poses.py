@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any
 
 from ullage.errors import InputError
 from ullage.ports.imc.assemble import Track
@@ -11,7 +10,6 @@ from ullage.ports.imc.link import leave, open_link
 from ullage.ports.imc.options import PoseOptions
 from ullage.ports.imc.wires import Entity, Identity
 from ullage.ports.intake import warn
-from ullage.ports.live import options_of
 from ullage.ports.pose_events import BodyState
 
 
@@ -25,6 +23,8 @@ class PoseFeed:
     Raises:
         InputError: the place cannot be opened.
     """
+
+    settings = PoseOptions
 
     def __init__(self, place: str, options: PoseOptions) -> None:
         me = Identity(options.system_id, options.name, entities=[Entity(1, options.name, "ullage")])
@@ -52,12 +52,3 @@ class PoseFeed:
     def close(self) -> None:
         """Let go of the link, unless a sink still uses it."""
         leave(self._link, "source")
-
-
-def open_poses(place: str, options: dict[str, Any]) -> PoseFeed:
-    """Poses of a vehicle: `imc:tcp://HOST:PORT?vehicle=NAME`.
-
-    Raises:
-        InputError: an option or the place cannot be used.
-    """
-    return PoseFeed(place, options_of(PoseOptions, options, f"imc:{place}"))

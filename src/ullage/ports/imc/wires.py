@@ -81,8 +81,8 @@ class Wire:
     """
 
     def __init__(self, options: LinkOptions, table: Table, log: Log, counters: Counters) -> None:
-        self._silence, self._again, self._table = options.silence_s, options.reconnect, table
-        self._log, self._counters, self._parser = log, counters, Parser(table)
+        self._silence, self._again, self.table = options.silence_s, options.reconnect, table
+        self.log, self.counters, self._parser = log, counters, Parser(table)
         self._once = Once(log)
         self._woken, self._waking = socket.socketpair()
         self._woken.setblocking(False)
@@ -167,7 +167,7 @@ class TcpWire(Wire):
             self._write(sock, out)
         packets = self._read(sock) if sock in ready else []
         if self._sock is not None and time.monotonic() - self._received_s > self._silence:
-            self._log(f"{self._where} has said nothing for {self._silence:g} s; connecting anew")
+            self.log(f"{self._where} has said nothing for {self._silence:g} s; connecting anew")
             self._drop()
         return packets
 
@@ -191,7 +191,7 @@ class TcpWire(Wire):
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self._sock, self._was_there, self._wait_s, self._received_s = sock, True, 0.25, time.monotonic()
         self._once.again("waiting")
-        self._parser, self._damaged = Parser(self._table), 0
+        self._parser, self._damaged = Parser(self.table), 0
         return sock
 
     def _write(self, sock: socket.socket, out: Inbox[bytes]) -> None:
@@ -218,7 +218,7 @@ class TcpWire(Wire):
         self._received_s = time.monotonic()
         packets = list(self._parser.feed(data))
         fresh, self._damaged = self._parser.damaged - self._damaged, self._parser.damaged
-        self._counters.drop(self._where, "bad", "a packet is damaged or cut", count=fresh)
+        self.counters.drop(self._where, "bad", "a packet is damaged or cut", count=fresh)
         self._report_foreign_bytes(self._where)
         return packets
 
@@ -316,9 +316,9 @@ class UdpWire(Wire):
             if self._local and not ipaddress.ip_address(host).is_loopback:
                 continue
             try:
-                packet = decode(data, table=self._table)
+                packet = decode(data, table=self.table)
             except Malformed as error:
-                self._counters.drop(f"udp://{host}", "bad", str(error))
+                self.counters.drop(f"udp://{host}", "bad", str(error))
                 list(self._parser.feed(data))
                 list(self._parser.finish())
                 self._report_foreign_bytes(f"udp://{host}:{port}")
@@ -365,7 +365,7 @@ class UdpWire(Wire):
 
     def _enter(self, number: int, peer: Peer) -> None:
         if len(self._peers) >= MOST_PEERS and peer.place != self._fixed:
-            self._counters.drop("Announce", "lost", f"more than {MOST_PEERS} peers")
+            self.counters.drop("Announce", "lost", f"more than {MOST_PEERS} peers")
             return
         self._peers[number] = peer
         self._there = True
@@ -379,7 +379,7 @@ class UdpWire(Wire):
         for number, peer in list(self._peers.items()):
             if now - peer.received_s > self._silence:
                 del self._peers[number]
-                self._log(f"{peer.name!r} has said nothing for {self._silence:g} s")
+                self.log(f"{peer.name!r} has said nothing for {self._silence:g} s")
 
     def greet(self, announce: bytes) -> None:
         """Announce ourselves on this machine, and on the network where the interface is one."""
