@@ -414,6 +414,5 @@ def open_link(text: str, options: LinkOptions, *, role: Role, log: Log) -> Link:
     return link
 
 
-def leave(link: Link, role: Role) -> None:
-    """Close the link, unless the other role still uses it."""
-    _links.leave(link, role)
+leave = _links.leave
+"""Closes a link, unless its other role still uses it."""

@@ -14,7 +14,7 @@ import numpy as np
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.flow import Due, Sink
-from ullage.ports.intake import Log, warn
+from ullage.ports.intake import Log, Once, warn
 from ullage.ports.mavlink.brake import ModeBrake
 from ullage.ports.mavlink.encode import distance_sensors, obstacle_distance
 from ullage.ports.mavlink.link import leave, open_link
@@ -72,7 +72,7 @@ class MavlinkSink(Sink):
         self._limiter = RateLimiter(options.pace)
         self._live: bool | None = None  # whether stamps are of the present: the first item decides, as it comes
         self._due = Due(1 / options.obstacle_hz, STEP_BACK_S)
-        self._rate = _Rate(self._log)
+        self._once, self._begun_s, self._count = Once(self._log), 0.0, 0
         self._faults: dict[str, str] = {}  # that the autopilot was told of
         self._told_s = 0.0
         self._ages_s: deque[float] = deque(maxlen=MOST_AGES)  # from frames of the present to their messages
@@ -178,7 +178,15 @@ class MavlinkSink(Sink):
         if self._live:
             self._ages_s.append(time.time() - sectors.t_ns * 1e-9)
         self._tell_faults(sectors)
-        self._rate.count(time.monotonic())
+        self._check_rate(time.monotonic())
+
+    def _check_rate(self, now_s: float) -> None:
+        """Report once that distances go out too rarely for an autopilot."""
+        self._begun_s = self._begun_s or now_s
+        took_s = now_s - self._begun_s
+        if took_s > 2.0 and (rate := self._count / took_s) < 0.9 * LEAST_HZ:
+            self._once(f"{rate:.1f} distances a second are sent; autopilots expect {LEAST_HZ:g}", kind="rate")
+        self._count += 1
 
     def _tell_faults(self, sectors: ObstacleSectors) -> None:
         """Make a faulty radar our critical state and a text on the pilot's screen: ArduPilot takes no data as free."""
@@ -221,18 +229,3 @@ class MavlinkSink(Sink):
             leave(self.link, "sink")
         if self._error is not None:
             raise self._error
-
-
-class _Rate:
-    """Reports once that distances go out too rarely for an autopilot."""
-
-    def __init__(self, log: Log) -> None:
-        self._log, self._begun_s, self._count, self._said = log, 0.0, 0, False
-
-    def count(self, now_s: float) -> None:
-        self._begun_s = self._begun_s or now_s
-        self._count += 1
-        took_s = now_s - self._begun_s
-        if not self._said and took_s > 2.0 and (rate := (self._count - 1) / took_s) < 0.9 * LEAST_HZ:
-            self._said = True
-            self._log(f"{rate:.1f} distances a second are sent; autopilots expect {LEAST_HZ:g}")
