@@ -25,7 +25,7 @@ from ullage.ports import encode
 from ullage.ports import schema as ros
 from ullage.ports.conversions import BODY
 from ullage.ports.cosimulation import BEHIND_S, CosimulationSource, SensingOptions
-from ullage.ports.intake import Counters, Inbox, Log
+from ullage.ports.intake import Counters, Inbox, Log, Worker
 from ullage.ports.live import point_of
 from ullage.ports.pose_events import BodyState, ModelPose, path_along
 from ullage.ports.protocol import Passed
@@ -136,8 +136,7 @@ class FlightFeed:
         self.newest_ns = 0
         self.slowed_s = 0.0  # by which the flight took longer than real time
         self._ending = False
-        self._error: BaseException | None = None
-        self._thread: threading.Thread | None = None
+        self._worker: Worker | None = None
 
     @property
     def behind_s(self) -> float:
@@ -146,33 +145,29 @@ class FlightFeed:
 
     def next(self, timeout_s: float) -> ModelPose | None:
         """Return the next pose, or None if none came within the timeout; the first call begins the flight."""
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._fly, args=(time.time_ns(),), name="ullage flight", daemon=True)
-            self._thread.start()
+        if self._worker is None:
+            self._worker = Worker(partial(self._fly, time.time_ns()), "ullage flight")
+            self._worker.start()
         found = self._inbox.get(timeout_s)
-        if self._error is not None:
-            raise self._error
+        self._worker.check()
         return found
 
     def _fly(self, epoch_ns: int) -> None:
         """Advance to the present in short steps, so that the state comes however slow the flight is."""
         begun, flown_s, pace = time.monotonic(), 0.0, self._pace
-        try:
-            while not self._ending:
-                due_s = (time.monotonic() - begun) * pace
-                flown_s = min(due_s, flown_s + BATCH_S)
-                if due_s - flown_s > BEHIND_S:  # it does not try to catch up
-                    begun += (due_s - flown_s) / pace
-                    self.slowed_s += (due_s - flown_s) / pace
-                if fresh := self._flight.until(int(flown_s * 1e9)):
-                    self._give(fresh, epoch_ns)
-                for state in fresh:
-                    self.newest_ns = epoch_ns + state.t_ns
-                    pose = ModelPose(self.newest_ns, tuple(state.position), tuple(state.quat_xyzw))
-                    self._inbox.put(pose, topic=HandFlownSource.name)
-                time.sleep(STEP_S if flown_s == due_s else 0.0)
-        except BaseException as error:  # `next` raises it
-            self._error = error
+        while not self._ending:
+            due_s = (time.monotonic() - begun) * pace
+            flown_s = min(due_s, flown_s + BATCH_S)
+            if due_s - flown_s > BEHIND_S:  # it does not try to catch up
+                begun += (due_s - flown_s) / pace
+                self.slowed_s += (due_s - flown_s) / pace
+            if fresh := self._flight.until(int(flown_s * 1e9)):
+                self._give(fresh, epoch_ns)
+            for state in fresh:
+                self.newest_ns = epoch_ns + state.t_ns
+                pose = ModelPose(self.newest_ns, tuple(state.position), tuple(state.quat_xyzw))
+                self._inbox.put(pose, topic=HandFlownSource.name)
+            time.sleep(STEP_S if flown_s == due_s else 0.0)
 
     def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
         """Do nothing: nobody else sees the flight."""
@@ -180,8 +175,8 @@ class FlightFeed:
     def land(self) -> None:
         """End the flight; its poses still come."""
         self._ending = True
-        if self._thread is not None and self._thread is not threading.current_thread():
-            self._thread.join(3.0)
+        if self._worker is not None and self._worker is not threading.current_thread():
+            self._worker.join(3.0)
 
     def close(self) -> None:
         """Land, and let go of terminal and network."""

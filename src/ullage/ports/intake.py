@@ -3,6 +3,7 @@
 Every live port and every reader of recordings uses these objects. None of them knows a middleware.
 
 - `Inbox` holds what one thread gives another, and bounds its number, bytes and age; `LiveOptions` set the age.
+- `Worker` is such a thread: its error is raised where what it gives is taken.
 - `Counters` counts the messages that were used and dropped, by topic and reason, and reports them.
 - `Clock` gives times that rise, although the source's clock may step or a single stamp may be wrong.
 - `checked_pose` accepts finite positions and unit quaternions only; `echo_range` ranges within a sensor's limits.
@@ -589,6 +590,34 @@ class Inbox(Generic[ItemT]):
 
     def __len__(self) -> int:
         return len(self._first) + len(self._waiting)
+
+
+class Worker(threading.Thread):
+    """A thread that ends with its first error.
+
+    Args:
+        work: what it does until its end.
+        name: of the thread.
+        failed: called after an error, to wake those who wait for the thread.
+    """
+
+    def __init__(self, work: Callable[[], None], name: str, *, failed: Callable[[], None] = lambda: None) -> None:
+        super().__init__(name=name, daemon=True)
+        self._work, self._failed = work, failed
+        self.error: BaseException | None = None
+
+    def run(self) -> None:
+        """Work, and keep the error."""
+        try:
+            self._work()
+        except BaseException as error:
+            self.error = error
+            self._failed()
+
+    def check(self) -> None:
+        """Raise the error, if there was one; for those who take what the thread gives."""
+        if self.error is not None:
+            raise self.error
 
 
 Placed = TypeVar("Placed")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
 
 from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError
+from ullage.ports.intake import Worker
 from ullage.ports.live import Address
 from ullage.ports.publisher import shifted
 from ullage.specs import RadarSpec
@@ -38,10 +38,9 @@ class ReceivedRadars:
         self._source = address.open("source")
         self._pieces: deque[dict[str, Frames]] = deque(maxlen=MOST_PIECES)
         self._waiting: dict[str, Frames] = {}  # newer than the last pose
-        self._error: BaseException | None = None
         self._done_ns = -1
-        self._thread = threading.Thread(target=self._run, name="ullage radars", daemon=True)
-        self._thread.start()
+        self._worker = Worker(self._run, "ullage radars")
+        self._worker.start()
         try:
             self._meet()
         except BaseException:
@@ -52,7 +51,7 @@ class ReceivedRadars:
         """Wait for frames of each radar."""
         begun = time.monotonic()
         while not self._pieces:
-            self._check()
+            self._worker.check()
             if time.monotonic() - begun > FIRST_S:
                 raise InputError(f"no frames within {FIRST_S:g} s", where=self._target)
             time.sleep(0.05)
@@ -62,7 +61,7 @@ class ReceivedRadars:
 
     def receive(self, body: Trajectory, number: int) -> dict[str, Frames]:
         """Return the frames since the last call, up to the time of the body's pose; times are those of the flight."""
-        self._check()
+        self._worker.check()
         held, now_ns, epoch_ns = [self._waiting], int(body.t_ns[0]), self._epoch_ns()
         while self._pieces:
             held.append({name: shifted(part, -epoch_ns) for name, part in self._pieces.popleft().items()})
@@ -74,19 +73,12 @@ class ReceivedRadars:
     def close(self) -> None:
         """Leave the port."""
         self._source.close()
-        self._thread.join(3.0)
-
-    def _check(self) -> None:
-        if self._error is not None:
-            raise self._error
+        self._worker.join(3.0)
 
     def _run(self) -> None:
-        try:
-            for piece in self._source.stream():
-                if piece:
-                    self._pieces.append(piece)
-        except BaseException as error:  # raised where frames are asked for
-            self._error = error
+        for piece in self._source.stream():
+            if piece:
+                self._pieces.append(piece)
 
 
 def _cut(found: dict[str, Frames], after_ns: int, until_ns: int | None) -> dict[str, Frames]:

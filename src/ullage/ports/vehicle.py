@@ -14,7 +14,7 @@ from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.flight.live import Wish
 from ullage.ports.drone import Drone, Guided, Limits, VehicleOptions
-from ullage.ports.intake import PATIENCE_S, Log, Once
+from ullage.ports.intake import PATIENCE_S, Log, Once, Worker
 from ullage.ports.live import Address, options_of
 from ullage.ports.pose_events import BodyState, path_along
 
@@ -53,10 +53,9 @@ class LiveVehicle:
         """When the flight began; 0: not yet."""
         self._state: BodyState | None = None
         self._asked_s = self._came_s = -math.inf
-        self._error: BaseException | None = None
         self._news, self._closing = threading.Condition(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name="ullage vehicle", daemon=True)
-        self._thread.start()
+        self._worker = Worker(self._run, "ullage vehicle", failed=self._wake)
+        self._worker.start()
 
     def wait(self) -> Trajectory:
         """Wait until the drone follows; its pose then. The flight begins.
@@ -67,7 +66,7 @@ class LiveVehicle:
         begun, logged = time.monotonic(), Once(self._log)
         with self._news:
             while self._state is None or self._drone.away:
-                self._check()
+                self._worker.check()
                 if self._drone.broken:
                     raise InputError(self._drone.broken, where="vehicle")
                 if self._state is not None:
@@ -90,7 +89,7 @@ class LiveVehicle:
             if t_ns == 0 and self._state is not None:
                 self.epoch_ns = self._state.t_ns
             while not self.ended:
-                self._check()
+                self._worker.check()
                 if self._state is not None and self._state.t_ns - self.epoch_ns >= t_ns:
                     self._drone.answered_ns = self._state.t_ns
                     path = path_along([self._state])
@@ -113,7 +112,7 @@ class LiveVehicle:
         if self._closing.is_set():
             return
         self._closing.set()
-        self._thread.join(3.0)
+        self._worker.join(3.0)
         try:
             if not self._drone.away:
                 self._drone.land() if landed else self._drone.hold()
@@ -132,19 +131,14 @@ class LiveVehicle:
         middle, most = np.percentile(self.delays_s, [50, 99]) * 1e3
         return f"{flown} Set-points left {middle:.0f} ms (median) and {most:.0f} ms (99 %) after the poses they answer."
 
-    def _check(self) -> None:
-        if self._error is not None:
-            raise self._error
-
     def _run(self) -> None:
-        try:
-            while not self._closing.wait(POLL_S):
-                with self._news:
-                    self._advance(time.monotonic())
-        except BaseException as error:  # raised where the next pose is waited for
-            self._error = error
+        while not self._closing.wait(POLL_S):
             with self._news:
-                self._news.notify_all()
+                self._advance(time.monotonic())
+
+    def _wake(self) -> None:
+        with self._news:
+            self._news.notify_all()
 
     def _advance(self, now: float) -> None:
         """Take the drone's states; command it, unless the flight is over."""

@@ -8,7 +8,6 @@ references, and maneuvers that a multirotor can fly: by a velocity, to a place, 
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -21,7 +20,7 @@ from ullage.ports.imc.codec import NOBODY, Message, Packet, make
 from ullage.ports.imc.frames import state_of
 from ullage.ports.imc.link import Link
 from ullage.ports.imc.options import SourceOptions
-from ullage.ports.intake import PIECE_S, Inbox, Log, Once
+from ullage.ports.intake import PIECE_S, Inbox, Log, Once, Worker
 from ullage.ports.ned import SWAP
 from ullage.ports.pose_events import BodyState, path_along
 from ullage.ports.protocol import Passing
@@ -262,9 +261,8 @@ class Helm:
         self._received_s, self._last_ns = 0.0, 0
         self._commanded = self._adopted = self._ending = False
         self.inbox: Inbox[BodyState] = Inbox(link.counters)
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="imc-flight", daemon=True)
-        self._thread.start()
+        self._worker = Worker(self._run, "imc-flight")
+        self._worker.start()
 
     def poses(self, timeout_s: float) -> list[BodyState]:
         """Return the poses that wait, at most those of `PIECE_S`; wait for one until the timeout."""
@@ -273,22 +271,18 @@ class Helm:
             found.append(pose)
             if pose.t_ns - found[0].t_ns >= PIECE_S * 1e9:
                 break
-        if self._error is not None:
-            raise self._error
+        self._worker.check()
         return found
 
     def _run(self) -> None:
-        try:
-            while not self._ending and not self._link.finished:
-                for packet in self._link.arriving(0.01):
-                    self._carry_out(packet)
-                    self._take(packet)
-                if fresh := self._fly():
-                    self._passing.give(partial(map, path_along, [fresh]))
-                for pose in fresh:
-                    self.inbox.put(pose, topic="flight")
-        except BaseException as error:  # `poses` raises it
-            self._error = error
+        while not self._ending and not self._link.finished:
+            for packet in self._link.arriving(0.01):
+                self._carry_out(packet)
+                self._take(packet)
+            if fresh := self._fly():
+                self._passing.give(partial(map, path_along, [fresh]))
+            for pose in fresh:
+                self.inbox.put(pose, topic="flight")
 
     def _carry_out(self, packet: Packet) -> None:
         """Carry out the command of a message."""
@@ -329,5 +323,5 @@ class Helm:
     def close(self) -> None:
         """End the thread, hover, and release the vehicle."""
         self._ending = True
-        self._thread.join(3.0)
+        self._worker.join(3.0)
         self._vehicle.close()

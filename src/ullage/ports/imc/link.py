@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator
 from typing import Literal
@@ -11,7 +10,7 @@ from ullage.flow import Closing
 from ullage.ports.imc.codec import NOBODY, Message, Packet, compile_kernels, encode, make, readable
 from ullage.ports.imc.options import LinkOptions, endpoint
 from ullage.ports.imc.wires import OUTBOX_BYTES, Entity, Identity, TcpWire, UdpWire
-from ullage.ports.intake import Counters, Inbox, Log, Once
+from ullage.ports.intake import Counters, Inbox, Log, Once, Worker
 from ullage.ports.network import SharedLinks
 
 NORMAL = 1
@@ -38,10 +37,9 @@ class Link(Closing):
         self.events: Inbox[Packet] = Inbox(self.counters, most=INBOX, received=False)
         self._ending = False
         self._once = Once(self._log)
-        self._error: BaseException | None = None
         compile_kernels()
-        self._thread = threading.Thread(target=self._run, name="imc", daemon=True)
-        self._thread.start()
+        self._worker = Worker(self._run, "imc")
+        self._worker.start()
 
     def send(
         self, message: Message, *, entity: int = 255, t_s: float | None = None, dst: int = NOBODY, dst_ent: int = 255
@@ -83,8 +81,7 @@ class Link(Closing):
             if packet is None:
                 break
             yield packet
-        if self._error is not None:
-            raise self._error
+        self._worker.check()
 
     @property
     def finished(self) -> bool:
@@ -113,14 +110,12 @@ class Link(Closing):
             self.flush(1.0)
         self._ending = True
         self.wire.wake()
-        self._thread.join(3.0)
+        self._worker.join(3.0)
         self.wire.close()
 
     def _run(self) -> None:
         try:
             self._loop()
-        except BaseException as error:  # `arriving` raises it
-            self._error = error
         finally:
             self._ending = True
 

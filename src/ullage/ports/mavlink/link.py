@@ -13,7 +13,7 @@ import numpy as np
 
 from ullage.errors import InputError
 from ullage.flow import Closing
-from ullage.ports.intake import Counters, Inbox, Log, Once
+from ullage.ports.intake import Counters, Inbox, Log, Once, Worker
 from ullage.ports.mavlink.options import LinkOptions, place_of
 from ullage.ports.mavlink.wire import Decoder, Sender, StreamWire, UdpWire, mavlink, open_wire
 from ullage.ports.network import Place, SharedLinks
@@ -185,14 +185,13 @@ class Link(Closing):
         self._requested: tuple[str, ...] = ()  # messages that were asked for at once; none: not yet
         self._answers: list[int] = []  # to these requests, in their order
         self._denied: set[str] = set()  # messages that the autopilot does not have
-        self._error: BaseException | None = None
         self._wall_ns = time.time_ns() - time.monotonic_ns()  # kept, so that a set clock moves nothing
-        self._thread = threading.Thread(target=self._run, name="ullage mavlink", daemon=True)
-        self._thread.start()
+        self._worker = Worker(self._run, "ullage mavlink")
+        self._worker.start()
 
     def send(self, message: Any) -> None:
         """Send a message of the dialect."""
-        self._check()
+        self._worker.check()
         with self._lock:
             mine = self.options.system_id or (self.autopilot.system if self.autopilot else 1)
             self._mav.srcSystem, self._mav.srcComponent = mine, self.options.component_id
@@ -202,7 +201,7 @@ class Link(Closing):
 
     def wait(self, timeout_s: float) -> PoseMessage | None:
         """The next message that holds a pose; None where none came for so long."""
-        self._check()
+        self._worker.check()
         return self.events.get(timeout_s)
 
     def wait_heartbeat(self, timeout_s: float) -> None:
@@ -244,22 +243,15 @@ class Link(Closing):
     def close(self) -> None:
         """End the thread, and let go of the wire."""
         self._closing.set()
-        self._thread.join(2.0)
+        self._worker.join(2.0)
         self._wire.close()
 
-    def _check(self) -> None:
-        if self._error is not None:
-            raise self._error
-
     def _run(self) -> None:
-        try:
-            while not self._closing.is_set():
-                for sender, data in self._wire.receive(TICK_S):
-                    for message in self._decoder(sender).feed(data):
-                        self._take(message)
-                self._tick(time.monotonic())
-        except BaseException as error:  # raised when messages are sent or requested
-            self._error = error
+        while not self._closing.is_set():
+            for sender, data in self._wire.receive(TICK_S):
+                for message in self._decoder(sender).feed(data):
+                    self._take(message)
+            self._tick(time.monotonic())
 
     def _decoder(self, sender: Sender) -> Decoder:
         if sender not in self._decoders:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import queue
-import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping
@@ -14,7 +13,7 @@ import numpy as np
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.flow import Due, Sink
-from ullage.ports.intake import Log, Once, warn
+from ullage.ports.intake import Log, Once, Worker, warn
 from ullage.ports.mavlink.brake import ModeBrake
 from ullage.ports.mavlink.encode import distance_sensors, obstacle_distance
 from ullage.ports.mavlink.link import leave, open_link
@@ -79,10 +78,9 @@ class MavlinkSink(Sink):
         self._newest: ObstacleSectors | None = None
         self._brake = ModeBrake(self.link, options, self._send_text) if options.guard == "brake" else None
         self._queue: queue.Queue[ObstacleSectors | None] = queue.Queue(max(round(AHEAD_S * options.obstacle_hz), 1))
-        self._error: BaseException | None = None
-        self._thread: threading.Thread | None = threading.Thread(target=self._run, name="ullage mavlink sink")
-        self._thread.daemon = True
-        self._thread.start()
+        self._closed = False
+        self._worker = Worker(self._run, "ullage mavlink sink")
+        self._worker.start()
 
     def write(self, item: Item) -> None:
         """Take frames, or the obstacles of the run; everything else passes by.
@@ -90,7 +88,7 @@ class MavlinkSink(Sink):
         Raises:
             InputError: the sink is closed.
         """
-        if self._thread is None:
+        if self._closed:
             raise InputError("the sink is closed", where=f"mavlink:{self.link.name}")
         if isinstance(item, ObstacleSectors):
             self._see(item.t_ns)
@@ -122,33 +120,29 @@ class MavlinkSink(Sink):
         for sectors in found:
             if self._due.reached(sectors.t_ns):
                 self._put(sectors)
-                if self._error is not None:
-                    raise self._error
+                self._worker.check()
 
     def _put(self, item: ObstacleSectors | None) -> None:
         """Hand over one item, or the end, unless the thread has failed."""
-        while self._error is None:
+        while self._worker.error is None:
             try:
                 return self._queue.put(item, timeout=0.1)
             except queue.Full:
                 continue
 
     def _run(self) -> None:
-        try:
-            while True:
-                try:
-                    sectors = self._queue.get(timeout=WAIT_S)
-                except queue.Empty:
-                    sectors = self._newest
-                else:
-                    if sectors is None:
-                        return
-                    self._newest = sectors
-                    self._send_in_time(sectors)
-                if self._live and sectors is not None:
-                    self._judge(sectors, time.time() - sectors.t_ns * 1e-9)
-        except BaseException as error:  # raised where the next item is written
-            self._error = error
+        while True:
+            try:
+                sectors = self._queue.get(timeout=WAIT_S)
+            except queue.Empty:
+                sectors = self._newest
+            else:
+                if sectors is None:
+                    return
+                self._newest = sectors
+                self._send_in_time(sectors)
+            if self._live and sectors is not None:
+                self._judge(sectors, time.time() - sectors.t_ns * 1e-9)
 
     def _judge(self, sectors: ObstacleSectors, age_s: float) -> None:
         """Brake where it must, and make the state critical where no distances were sent for half a second."""
@@ -208,14 +202,13 @@ class MavlinkSink(Sink):
 
     def close(self) -> None:
         """Send what waits, and leave the link."""
-        thread = self._thread
-        if thread is None:
+        if self._closed:
             return
-        self._thread = None
+        self._closed = True
         try:
             self._begin()
             self._put(None)
-            thread.join()
+            self._worker.join()
             if self._brake is not None and self._live and self._newest is not None:
                 self._brake.judge(self._newest, math.inf)  # no more distances come
             if self.link.autopilot is None:
@@ -227,5 +220,4 @@ class MavlinkSink(Sink):
                 self._log(line)
         finally:
             leave(self.link, "sink")
-        if self._error is not None:
-            raise self._error
+        self._worker.check()

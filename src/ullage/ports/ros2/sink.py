@@ -12,7 +12,7 @@ from ullage.errors import InputError
 from ullage.flow import Sink
 from ullage.ports import schema as ros
 from ullage.ports.diagnostics import TOPIC, Status
-from ullage.ports.intake import warn
+from ullage.ports.intake import Worker, warn
 from ullage.ports.protocol import Item
 from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_present, on
 from ullage.ports.rate_limiter import LATE_S, STEP_BACK_S, RateLimiter
@@ -116,13 +116,12 @@ class Ros2Sink(Sink):
         self._messages: queue.Queue[Message | None] = queue.Queue()
         self._sent_ns: int | None = None
         self._progress = threading.Condition()
-        self._error: BaseException | None = None
         self._map_subscribers, self._sent, self._late_s = 0, 0, 0.0
         self._health, self._status = HealthMonitor(), Status(f"{options.node}: sink")
         self._status.is_due()  # the first message comes a second from now
         self._closing = threading.Event()
-        self._thread: threading.Thread | None = threading.Thread(target=self._run, name="ullage ros2", daemon=True)
-        self._thread.start()
+        self._worker = Worker(self._run, "ullage ros2", failed=self._wake)
+        self._worker.start()
 
     def write(self, item: Item) -> None:
         """Take one item; wait while earlier items are far from published.
@@ -130,7 +129,7 @@ class Ros2Sink(Sink):
         Raises:
             InputError: the sink is closed.
         """
-        if self._thread is None:
+        if self._closing.is_set():
             raise InputError("the sink is closed", where="ros2:")
         found = self._publisher.messages(item)
         parts = sensors_of(item) if isinstance(item, Frames | Mapping) else []
@@ -151,33 +150,30 @@ class Ros2Sink(Sink):
         if messages and messages[-1].quality != "relayed":
             with self._progress:
                 self._progress.wait_for(lambda: self._near(messages[-1].t_ns))
-        if self._error is not None:
-            raise self._error
+        self._worker.check()
 
     def _near(self, t_ns: int) -> bool:
         ahead_s = max(AHEAD_S, 2 * self._order.longest_s)
         sent = self._sent_ns
-        return self._error is not None or (sent is not None and t_ns - sent <= ahead_s * 1e9)
+        return self._worker.error is not None or (sent is not None and t_ns - sent <= ahead_s * 1e9)
 
     def _run(self) -> None:
-        try:
-            self._await_subscribers()
-            while (message := self._messages.get()) is not None:
-                if message.quality == "relayed":
-                    self._sent += self._peer.send(message)
-                    continue
-                if message.topic == CLOCK:
-                    self._closing.wait(self._peer.enter(CLOCK))
-                self._wait(message.t_ns)
-                self._sent += self._peer.send(message, reliable=self._options.reliable or None)
-                self._report(message.t_ns)
-                with self._progress:
-                    self._sent_ns = message.t_ns
-                    self._progress.notify_all()
-        except BaseException as error:
-            with self._progress:
-                self._error = error
-                self._progress.notify_all()
+        self._await_subscribers()
+        while (message := self._messages.get()) is not None:
+            if message.quality == "relayed":
+                self._sent += self._peer.send(message)
+                continue
+            if message.topic == CLOCK:
+                self._closing.wait(self._peer.enter(CLOCK))
+            self._wait(message.t_ns)
+            self._sent += self._peer.send(message, reliable=self._options.reliable or None)
+            self._report(message.t_ns)
+            self._sent_ns = message.t_ns
+            self._wake()
+
+    def _wake(self) -> None:
+        with self._progress:
+            self._progress.notify_all()
 
     def _await_subscribers(self) -> None:
         """Wait for subscribers of /tf, as `ros2 topic pub --wait-matching-subscriptions` does."""
@@ -223,8 +219,7 @@ class Ros2Sink(Sink):
 
     def close(self) -> None:
         """Publish the waiting messages, stay for the requested time, and leave the network."""
-        thread, self._thread = self._thread, None
-        if thread is None:
+        if self._closing.is_set():
             return
         self._closing.set()
         try:
@@ -232,11 +227,10 @@ class Ros2Sink(Sink):
             for message in self._order.finish():
                 self._messages.put(message)
             self._messages.put(None)
-            thread.join()
+            self._worker.join()
             self._peer.settle(1.0)
             self._peer.leave(CLOCK)
             time.sleep(self._options.linger_s)
         finally:
             self._peer.close()
-        if self._error is not None:
-            raise self._error
+        self._worker.check()
