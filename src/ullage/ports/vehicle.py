@@ -65,7 +65,7 @@ class LiveVehicle:
         """
         begun, logged = time.monotonic(), Once(self._log)
         with self._news:
-            while self._state is None or self._drone.away:
+            while self._state is None or self._drone.away or self._drone.broken:
                 self._worker.check()
                 if self._drone.broken:
                     raise InputError(self._drone.broken, where="vehicle")
