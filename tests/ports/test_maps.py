@@ -266,20 +266,16 @@ def test_numbers_and_truth_as_others_write_them(tmp_path: Path) -> None:
 
 
 def test_volumes_and_odd_suffixes_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ul.InputError, match="planes only"):
-        write_map(volume(), tmp_path / "a.yaml")
-    with pytest.raises(ul.InputError, match=r"not a map file.*\.bt"):
-        write_map(volume(), tmp_path / "a.xyz")
-    with pytest.raises(ul.InputError, match="not a map file"):
-        read_map(tmp_path / "a.xyz")
-    with pytest.raises(ul.InputError, match=r"no option 'colour'.*mode"):
-        write_map(plane(), tmp_path / "a.yaml", colour="red")
-    with pytest.raises(ul.InputError, match="no mode 'odd'"):
-        write_map(plane(), tmp_path / "a.yaml", mode="odd")
-    with pytest.raises(ul.InputError, match="cannot read"):
-        read_map(tmp_path / "a.bt")
-    with pytest.raises(ul.InputError, match="cannot write"):
-        write_map(volume(), tmp_path / "nowhere" / "a.bt")
+    for omap, name, options, words in (
+        (volume(), "a.yaml", {}, "planes only"), (volume(), "a.xyz", {}, r"not a map file.*\.bt"),
+        (plane(), "a.yaml", {"colour": "red"}, r"no option 'colour'.*mode"),
+        (plane(), "a.yaml", {"mode": "odd"}, "no mode 'odd'"), (volume(), "nowhere/a.bt", {}, "cannot write"),
+    ):  # fmt: skip
+        with pytest.raises(ul.InputError, match=words):
+            write_map(omap, tmp_path / name, **options)
+    for name, words in (("a.xyz", "not a map file"), ("a.bt", "cannot read")):
+        with pytest.raises(ul.InputError, match=words):
+            read_map(tmp_path / name)
 
 
 def on_grid(got: ul.OccupancyMap, grid: ul.Grid) -> np.ndarray:

@@ -266,9 +266,10 @@ def test_a_port_in_use_a_wrong_host_and_a_missing_device_are_one_line(link_to: O
             link_to(f"udpin://127.0.0.1:{port}")
         with pytest.raises(ul.InputError, match=f"cannot listen on 127.0.0.1 port {port}: .*a free port"):
             link_to("udp://127.0.0.1:14550", port=port)
-    with pytest.raises(ul.InputError, match=r"no such host 'no\.such\.host\.invalid'"):
-        link_to("udp://no.such.host.invalid:14550")
-    with pytest.raises(ul.InputError, match=r"cannot connect to 127.0.0.1 port 9: Connection refused .*that listens"):
-        link_to("tcp://127.0.0.1:9")
-    with pytest.raises(ul.InputError, match=r"no such serial device .*a device as /dev/ttyACM0"):
-        link_to("serial:///dev/ttyNOPE9")
+    for place, words in {
+        "udp://no.such.host.invalid:14550": r"no such host 'no\.such\.host\.invalid'",
+        "tcp://127.0.0.1:9": r"cannot connect to 127.0.0.1 port 9: Connection refused .*that listens",
+        "serial:///dev/ttyNOPE9": r"no such serial device .*a device as /dev/ttyACM0",
+    }.items():
+        with pytest.raises(ul.InputError, match=words):
+            link_to(place)
