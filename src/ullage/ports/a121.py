@@ -31,11 +31,8 @@ WIDTH_M = {"PROFILE_1": 0.04, "PROFILE_2": 0.07, "PROFILE_3": 0.14, "PROFILE_4":
 BAND = 0.569
 """-10 dB bandwidth of a Gaussian pulse, times its width over range, over the speed of light."""
 MOST_BYTES = 2_000_000_000
-
-
-def holds_sessions(names: frozenset[str]) -> bool:
-    """Whether the groups of an HDF5 file are those of the exploration tool."""
-    return bool(names & {"session", "sessions"})
+SESSIONS = {"session", "sessions"}
+"""Groups of an HDF5 file, one of which the exploration tool makes."""
 
 
 def read_sessions(path: Path, *, mount: MountSpec | None = None) -> dict[str, Frames]:
@@ -94,8 +91,7 @@ class _Entry:
         self._t_ns = mend_clock(self._times(tick, frame.shape[1], ticks_hz), where=path)
         saturated = int(array_in(file, f"{place}/result/data_saturated", most_bytes=MOST_BYTES).sum())
         if saturated:
-            text = f"{path}: {saturated} of {len(frame)} frames are saturated; their strongest echoes are cut off"
-            warn(text)
+            warn(f"{path}: {saturated} of {len(frame)} frames are saturated; their strongest echoes are cut off")
 
     def _times(self, tick: NDArray[Any], sweeps: int, ticks_hz: float) -> Longs:
         start_s = (tick - tick[0]) / ticks_hz
@@ -114,8 +110,7 @@ class _Entry:
             samples = np.ascontiguousarray(self._samples[:, which])
             out[one] = Frames(samples, spec.range_m, self._t_ns, spec, sensor=one, unit="normalised")
         if short and out:
-            text = f"{self._path}: {short} subsweeps of {name} have fewer than {LEAST_BINS} points; left out"
-            warn(text)
+            warn(f"{self._path}: {short} subsweeps of {name} have fewer than {LEAST_BINS} points; left out")
         return out
 
     def _subsweeps(self, mount: MountSpec | None) -> Iterator[tuple[slice, RadarSpec | None]]:

@@ -186,8 +186,7 @@ def _band(entries: dict[str, NDArray[Any]], preset: str | None, path: Path) -> t
                          allowed=f"these keys, or preset= one of {', '.join(RadarSpec.names())}")  # fmt: skip
     base = RadarSpec.preset(LIKE, range_zero_m=None)
     rest = " and ".join(f"{name} {getattr(base, name):g}" for name in BAND if name not in stated)
-    what = f"{path}: {rest} of the preset {base.name} assumed; the file does not say (give preset=)"
-    warn(what)
+    warn(f"{path}: {rest} of the preset {base.name} assumed; the file does not say (give preset=)")
     return base, stated
 
 
@@ -232,4 +231,4 @@ def _poses(entries: dict[str, NDArray[Any]], prefix: str, t_ns: Longs, path: Pat
 
 def _kind(value: NDArray[Any]) -> str:
     finite = value.dtype.kind not in "fc" or bool(np.isfinite(value).all())
-    return f"of shape {value.shape} and kind {value.dtype}" + "" * finite + ", not all finite" * (not finite)
+    return f"of shape {value.shape} and kind {value.dtype}" + ", not all finite" * (not finite)

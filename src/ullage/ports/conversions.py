@@ -166,8 +166,7 @@ def spec_of(values: dict[str, Any], where: str) -> RadarSpec:
     """Read a radar's settings; a field that this version lacks gives a warning and is left out."""
     unknown = sorted(values.keys() - RadarSpec.model_fields.keys())
     if unknown:
-        what = f"{where}: settings this version does not know are left out: {', '.join(unknown)}"
-        warn(what)
+        warn(f"{where}: settings this version does not know are left out: {', '.join(unknown)}")
     return RadarSpec(**{key: value for key, value in values.items() if key not in unknown})
 
 

@@ -256,7 +256,6 @@ class CosimulationSource(UnboundedSource):
         return self._intake.take(found.t_ns, found)
 
     def _update_scene(self, others: OtherModels) -> None:
-        """Apply the poses of other models."""
         if self._newest_ns is not None and not self._newest_ns - LATE_NS <= others.t_ns <= self._newest_ns + GAP_NS:
             self._early.append(others)
             return

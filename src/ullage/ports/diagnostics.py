@@ -13,10 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from ullage.data import Frames
-from ullage.ports import encode
 from ullage.ports.intake import Counters
 from ullage.ports.protocol import Passed
-from ullage.ports.schema import DIAGNOSTICS
+from ullage.ports.schema import DIAGNOSTICS, encoded
 from ullage.processing.health import HealthMonitor
 
 TOPIC = "/diagnostics"
@@ -63,8 +62,8 @@ class Status:
         percent = 100 * (spent - self._spent_s) / max(self.span_s, 1e-9)
         self._spent_s = spent
         load = [("CPU [% of a core]", f"{percent:.0f}"), ("memory [MB]", f"{resident_bytes() / 1e6:.0f}")]
-        data = encode.diagnostics_message(t_ns, level, self._name, text, [*values, *load])
-        return Passed(t_ns, TOPIC, DIAGNOSTICS, data)
+        status = (level, self._name, text, "ullage", [*values, *load])
+        return Passed(t_ns, TOPIC, DIAGNOSTICS, encoded(DIAGNOSTICS, {"status": [status]}, t_ns=t_ns))
 
 
 def resident_bytes() -> int:

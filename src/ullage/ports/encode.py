@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -133,11 +133,6 @@ def command_message(t_ns: int, wish: Wish, quat_xyzw: Floats, *, frame_id: str) 
     pose = {"position": wish.position_m, "orientation": tuple(rpy_quat(0.0, 0.0, heading))}
     data = ros.encoded(ros.POSE, {"pose": pose}, t_ns=t_ns, frame_id=WORLD)
     return Passed(t_ns, ros.PILOT_PLACE, ros.POSE, data)
-
-
-def clock_messages(times_ns: Sequence[int]) -> list[bytes]:
-    """Encode a Clock message for each time."""
-    return ros.layout(ros.CLOCK).fill(np.array(times_ns))
 
 
 def fixed_message(t_ns: int, fixed: Mapping[tuple[str, str], Floats]) -> bytes:
@@ -308,8 +303,3 @@ def _picture(pixels: NDArray[Any], encoding: str, t_ns: int) -> bytes:
         "data": pixels.view(np.uint8).ravel(),
     }
     return ros.encoded(ros.PICTURE, fields, t_ns=t_ns, frame_id=WORLD)
-
-
-def diagnostics_message(t_ns: int, level: int, name: str, text: str, values: Sequence[tuple[str, str]]) -> bytes:
-    """Encode one status as DiagnosticArray: level 0 OK, 1 warning, 2 error, 3 stale."""
-    return ros.encoded(ros.DIAGNOSTICS, {"status": [(level, name, text, "ullage", list(values))]}, t_ns=t_ns)

@@ -53,14 +53,17 @@ def write_map_server(omap: OccupancyMap, path: str | Path, *, mode: Mode = "trin
     Raises:
         InputError: the map is a volume, the mode is unknown, or the folder cannot be written.
     """
+    import yaml
+    from PIL import Image
+
     path = Path(path)
     if omap.grid.dims != 2:
         raise InputError("map_server knows planes only", where=path, allowed="a 2D map; .bt, .ot or .ply for a volume")
     if mode not in MODES:
         raise InputError(f"no mode {mode!r}", where="mode", allowed=", ".join(MODES))
     image = path.with_suffix(".png" if mode == "scale" else ".pgm")
-    pixels = np.ascontiguousarray(_pixels(omap, mode)[::-1])
-    _write_image(pixels, image)
+    picture = Image.fromarray(np.ascontiguousarray(_pixels(omap, mode)[::-1]))
+    write_whole(image, lambda out: picture.save(out, "PNG" if mode == "scale" else "PPM"))
     x, y, z = omap.grid.origin_m
     low, high = (
         (omap.free_to / 100, omap.occupied_from / 100) if mode != "trinary" else (FREE_THRESHOLD, OCCUPIED_THRESHOLD)
@@ -70,8 +73,6 @@ def write_map_server(omap: OccupancyMap, path: str | Path, *, mode: Mode = "trin
         "occupied_thresh": high, "free_thresh": low,
         "ullage": {"height_m": z if math.isfinite(z) else None, "method": omap.method},
     }  # fmt: skip
-    import yaml
-
     text = yaml.safe_dump(about, sort_keys=False, default_flow_style=None)
     write_whole(path.with_suffix(".yaml"), lambda out: out.write(text.encode()))
     return path.with_suffix(".yaml")
@@ -86,13 +87,6 @@ def _pixels(omap: OccupancyMap, mode: Mode) -> NDArray[np.uint8]:
         return np.where(known, omap.percent, 255).astype(np.uint8)
     grey = np.where(known, np.rint(255 - 2.55 * omap.percent), UNKNOWN_PIXEL)
     return np.stack([grey, np.where(known, 255, 0)], axis=-1).astype(np.uint8)
-
-
-def _write_image(pixels: NDArray[np.uint8], path: Path) -> None:
-    from PIL import Image
-
-    kind = "PNG" if path.suffix == ".png" else "PPM"
-    write_whole(path, lambda out: Image.fromarray(pixels).save(out, kind))
 
 
 def read_map_server(path: str | Path) -> OccupancyMap:

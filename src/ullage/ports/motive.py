@@ -104,8 +104,7 @@ def _numbers(lines: list[str], start: int, width: int, path: Path) -> Floats:
 
     table = np.array(list(rows()), float).reshape(-1, width)
     if bad:
-        what = f"{len(bad)} lines cannot be read, first line {bad[0]}; left out"
-        warn(f"{path}: {what}")
+        warn(f"{path}: {len(bad)} lines cannot be read, first line {bad[0]}; left out")
     return table
 
 

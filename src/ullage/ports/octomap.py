@@ -64,7 +64,6 @@ def write_octomap(omap: OccupancyMap, path: str | Path) -> None:
 
 
 def _codes(grid: Grid, known: Bools, path: Path) -> Longs:
-    """Morton codes of the known cells."""
     origin = np.nan_to_num(np.array(grid.origin_m)) / grid.step_m
     first = np.rint(origin).astype(np.int64)
     if np.any(abs(origin - first) > 1e-3):

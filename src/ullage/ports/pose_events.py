@@ -170,7 +170,9 @@ class EventFeed(ABC):
             event = self._source.wait(max(0.0, end - time.monotonic()))
             if event is None:
                 return self._on_silence() if timeout_s else None
-            last = self._read_event(event)
+            topic, last = getattr(event, "topic", ""), None
+            with self.counters.reading(topic) if topic else nullcontext():
+                last = self._take(event)
             if last is not None:
                 self._ready.append(last)
         return self._ready.popleft()
@@ -181,16 +183,12 @@ class EventFeed(ABC):
         waits_s: float = self._source.events.behind_s
         return waits_s
 
+    def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:  # noqa: B027 (most peers want none)
+        """Publish frames, where the peer wants some."""
+
     def close(self) -> None:
         """Close the sockets."""
         self._source.close()
-
-    def _read_event(self, event: Any) -> Any:
-        """Return the result of an event, None for a message that cannot be read."""
-        found, topic = None, getattr(event, "topic", "")
-        with self.counters.reading(topic) if topic else nullcontext():
-            found = self._take(event)
-        return found
 
     def _valid_poses(self, topic: str, poses: Mapping[str, Any]) -> dict[str, Pose]:
         """Return the poses of other models by name, and count those that are not valid."""

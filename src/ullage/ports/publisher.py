@@ -21,7 +21,7 @@ from ullage.ports import conversions, encode
 from ullage.ports.conversions import BODY, WORLD
 from ullage.ports.protocol import Item, Passed
 from ullage.ports.rate_limiter import LEAP_S, STEP_BACK_S
-from ullage.ports.schema import TOPICS, Quality, topic_name
+from ullage.ports.schema import CLOCK, TOPICS, Quality, layout, topic_name
 from ullage.processing.detect import detect
 from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
@@ -93,7 +93,8 @@ class Clock:
             times = list(range(self._origin_ns + first * self._step_ns, t_ns, self._step_ns))
         self._last_ns = t_ns
         times.append(t_ns)
-        return [on("/clock", at, data) for at, data in zip(times, encode.clock_messages(times), strict=True)]
+        ticks = layout(CLOCK).fill(np.array(times))
+        return [on("/clock", at, data) for at, data in zip(times, ticks, strict=True)]
 
 
 @dataclass

@@ -48,7 +48,6 @@ class ReceivedRadars:
             raise
 
     def _meet(self) -> None:
-        """Wait for frames of each radar."""
         begun = time.monotonic()
         while not self._pieces:
             self._worker.check()

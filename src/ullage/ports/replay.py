@@ -69,7 +69,7 @@ class McapSource(Recording):
         self.place = ""
 
     def _names(self) -> Iterator[str]:
-        return (conversions.text_in(data, 1) for _, data in self._messages(ros.FRAME))
+        return (conversions.text_in(data, 1) for _, _, data in self.messages(ros.FRAME))
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """The same in pieces of at most `chunk` frames of each sensor, in order of time.
@@ -107,7 +107,6 @@ class McapSource(Recording):
         return waiting[name]
 
     def _set(self, mine: Waiting, kind: str, data: bytes, counters: Counters) -> None:
-        """Take settings or a track."""
         try:
             known = conversions.settings_of(data) if kind == ros.SETTINGS else {"track": conversions.track_of(data)}
         except Exception as error:  # a damaged message can raise any error in the decoders
@@ -126,7 +125,7 @@ class McapSource(Recording):
 
     def trajectory(self) -> Trajectory | None:
         """Return the estimated path of the body, if known."""
-        messages = [data for _, data in self._messages(ros.ODOMETRY, topic="/odom")]
+        messages = [data for topic, _, data in self.messages(ros.ODOMETRY) if topic == "/odom"]
         return conversions.odometry_path(messages) if messages else None
 
     def commands(self) -> list[tuple[int, Wish]]:
@@ -137,7 +136,7 @@ class McapSource(Recording):
 
     def map(self) -> OccupancyMap | None:
         """The last map recorded, where there is one."""
-        last = dict(self._messages(ros.CELLS, ros.GRID))
+        last = {kind: data for _, kind, data in self.messages(ros.CELLS, ros.GRID)}
         if ros.CELLS in last:
             return conversions.cells_of(last[ros.CELLS])
         return conversions.grid_of(last[ros.GRID]) if last else None
@@ -146,19 +145,13 @@ class McapSource(Recording):
         """Whether a RadarFrame is in it."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # said when it is read
-            return any(True for _ in self._messages(ros.FRAME))
+            return any(True for _ in self.messages(ros.FRAME))
 
     def topics(self) -> dict[str, str]:
         """Topics that have messages, with their types."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return {topic: kind for topic, kind, _ in self.messages()}
-
-    def _messages(self, *kinds: str, topic: str = "") -> Iterator[tuple[str, bytes]]:
-        """Messages of these kinds, as far as the file can be read."""
-        for name, kind, data in self.messages(*kinds):
-            if topic in ("", name):
-                yield kind, data
 
     def messages(self, *kinds: str) -> Iterator[tuple[str, str, bytes]]:
         """Topic, type and CDR bytes of each message of these kinds, or of all, as far as the file can be read."""

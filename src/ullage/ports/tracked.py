@@ -10,7 +10,7 @@ import numpy as np
 from ullage.arrays import Floats, Longs
 from ullage.data import Frames, Trajectory, sensors_of
 from ullage.errors import InputError
-from ullage.ports.a121 import holds_sessions, read_sessions
+from ullage.ports.a121 import SESSIONS, read_sessions
 from ullage.ports.arrays import Arrays, names_in, read_npz, refuse_pickle
 from ullage.ports.intake import warn
 from ullage.ports.motive import read_tracks
@@ -64,7 +64,7 @@ def open_arrays(path: Path, *, preset: str | None = None, mount: MountSpec | Non
     """
     refuse_pickle(path)
     names = names_in(path)
-    if holds_sessions(names):
+    if names & SESSIONS:
         return WholeSource(read_sessions(path, mount=mount))
     arrays = read_arrays(path) if "scans" in names else read_npz(path, preset=preset)
     frames = _frames(arrays, arrays.track, mount, path)

@@ -186,7 +186,6 @@ def read_survey(path: str | Path) -> Survey:
 
 
 def _row(cells: dict[str, str], path: Path, number: int) -> tuple[list[float], str]:
-    """Place and name in one line."""
     place = []
     for name in PLACE:
         try:

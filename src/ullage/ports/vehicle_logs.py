@@ -239,7 +239,6 @@ def _sums(body: bytes) -> bytes:
 
 
 def _ubx_fixes(rows: Any) -> list[Fix]:
-    """The fixes in messages of one kind."""
     names = rows.dtype.names
     good = rows["accuracy"] < 2**32 - 1
     for name, sign in (("invalid", 0), ("fixed", 1)):

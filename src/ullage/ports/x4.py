@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,14 +30,6 @@ BASEBAND = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Rows:
-    """A mapped recording: its rows and the spec that its header tells."""
-
-    table: NDArray[np.void]
-    spec: RadarSpec
-
-
 class X4Source(Recording):
     """An X4 recording, read from disk as it is used.
 
@@ -55,9 +46,9 @@ class X4Source(Recording):
         super().__init__(path)
         if fps is None:
             warn(f"{self.path}: times are not recorded; 17 frames a second are assumed (say fps=)")
-        self._rows = open_rows(self.path, 17.0 if fps is None else fps, range_start_m)
-        counter = self._rows.table["counter"].astype(np.int64)
-        t_ns = np.rint((counter - counter[0]) * (1e9 / self._rows.spec.fps)).astype(np.int64)
+        self._rows, self._spec = open_rows(self.path, 17.0 if fps is None else fps, range_start_m)
+        counter = self._rows["counter"].astype(np.int64)
+        t_ns = np.rint((counter - counter[0]) * (1e9 / self._spec.fps)).astype(np.int64)
         self._t_ns = mend_clock(t_ns, where=self.path)
 
     def _names(self) -> Iterator[str]:
@@ -69,14 +60,14 @@ class X4Source(Recording):
             yield {"x4": self._cut(start, start + chunk)}
 
     def _cut(self, start: int, stop: int) -> Frames:
-        rows, spec = self._rows.table[start:stop], self._rows.spec
+        rows, spec = self._rows[start:stop], self._spec
         samples = np.empty((len(rows), spec.bins), np.complex64)
         samples.real, samples.imag = rows["i"], rows["q"]
         return Frames(samples, spec.range_m, self._t_ns[start:stop], spec, sensor="x4", unit="normalised")
 
 
-def open_rows(path: Path, fps: float, range_start_m: float | None) -> Rows:
-    """Map a recording, whichever of the two formats it has.
+def open_rows(path: Path, fps: float, range_start_m: float | None) -> tuple[NDArray[np.void], RadarSpec]:
+    """Map a recording, whichever of the two formats it has; its rows, and the spec that its header tells.
 
     Raises:
         InputError: it is neither, or holds no whole frame.
@@ -91,13 +82,12 @@ def open_rows(path: Path, fps: float, range_start_m: float | None) -> Rows:
         scale = C0 / DRIVER_C if abs(bin_m * 2 * rate / DRIVER_C - 1) < 1e-4 else 1.0
         rate_hz = 8 * C0 / (2 * bin_m * scale)
         spec = _x4m05(path, bins, fps, center_hz=float(center), sampling_hz=rate_hz, range_start_m=start * scale)
-        return Rows(_map(path, size, BASEBAND, bins), spec)
+        return _map(path, size, BASEBAND, bins), spec
     if kind == 0 and 2 <= count <= 131072 and count % 2 == 0:
         if range_start_m is None:
             warn(f"{path}: the range of bin 0 is not recorded; 0 m is assumed (say range_start_m=)")
-        return Rows(
-            _map(path, size, DATAFLOAT, count // 2), _x4m05(path, count // 2, fps, range_start_m=range_start_m or 0.0)
-        )
+        bins = count // 2
+        return _map(path, size, DATAFLOAT, bins), _x4m05(path, bins, fps, range_start_m=range_start_m or 0.0)
     raise InputError("not an X4 recording", where=path, allowed=FORMATS)
 
 

@@ -56,7 +56,8 @@ def plot_frames(frames: Frames, ax: Any = None, *, frame: int | None = None) -> 
         axes.set(ylabel=UNIT_LABEL[frames.unit], title=f"{frames.sensor}, frame {frame or 0}")
         axes.grid(alpha=0.3)
         return axes
-    amplitude, t_s = _pooled(frames)
+    rows = np.arange(0, len(frames), -(-len(frames) // MOST_ROWS))
+    amplitude, t_s = np.maximum.reduceat(frames.amplitude, rows, axis=0), np.asarray(frames.t_ns[rows] * 1e-9)
     low, top = level_limits([amplitude], frames.unit)
     mesh = draw_range_time(axes, t_s, frames.range_m, amplitude, unit=frames.unit, limits=(low, top))
     axes.set(ylabel="range [m]", title=f"{frames.sensor}, {len(frames)} frames")
@@ -245,10 +246,3 @@ def _walls(scene: Scene | None, z_m: Any, path: Trajectory | None) -> Any:
     flown = float(np.median(path.position[:, 2])) if path is not None else float(scene.bounds[:, 2].mean())
     height = float(np.median(z_m))
     return section(scene, height if np.isfinite(height) else flown)
-
-
-def _pooled(frames: Frames) -> tuple[Any, Any]:
-    """Pool amplitudes (r, b) to at most `MOST_ROWS` rows, each the maximum of equal groups, and times (r) [s]."""
-    stride = -(-len(frames) // MOST_ROWS)
-    rows = np.arange(0, len(frames), stride)
-    return np.maximum.reduceat(frames.amplitude, rows, axis=0), frames.t_ns[rows] * 1e-9

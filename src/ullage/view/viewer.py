@@ -312,7 +312,7 @@ class ViewerSink(Sink):
         blueprint = plots.layout(
             names,
             bounds=self._bounds,
-            label=plots.unit_label(parts[0].unit),
+            label=plots.UNIT_LABELS[parts[0].unit],
             placed=placed,
             trails=["world/flown", *(f"world/echoes/{name}/trail" for name in names)],
             profile_floor=f"{self._top_db - plots.SPAN_DB:g}",

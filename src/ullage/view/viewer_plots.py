@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.arrays import Floats, Longs, Singles
-from ullage.data import Unit
 from ullage.errors import need
 from ullage.view.viewer_scene import TIMELINE, rgba
 
@@ -21,11 +20,8 @@ ROWS = 200  # largest number of rows; longer profiles keep the strongest of neig
 SPAN_DB = 60.0  # dynamic range of the pictures below the strongest echo
 EMPTY = 255  # colour index of places without data
 TRAIL_S = 15.0  # time for which the points of echoes stay visible
-
-
-def unit_label(unit: Unit) -> str:
-    """Return the label of the levels of a profile."""
-    return {"path_gain": "path gain", "normalised": "sensor's own units", "thesis": "thesis' units"}[unit]
+UNIT_LABELS = {"path_gain": "path gain", "normalised": "sensor's own units", "thesis": "thesis' units"}
+"""Labels of the levels of a profile."""
 
 
 class RangeTime:

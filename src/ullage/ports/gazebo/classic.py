@@ -101,7 +101,6 @@ class ClassicPeer(Peer):
         self._server.close()
 
     async def _connect(self, place: tuple[str, int], take: Take, made: Callable[[Line], None]) -> None:
-        """Try to open a connection."""
         try:
             async with asyncio.timeout(AGAIN_S):
                 reader, line = await asyncio.open_connection(*place)

@@ -121,13 +121,11 @@ class ClassicFeed(Feed):
         return OtherModels(self.newest_ns, new=new) if new else None
 
     def _deleted(self, event: Received) -> OtherModels | None:
-        """Note a request to delete a model."""
         message = classic().Request.FromString(event.data)
         deleted = message.request == "entity_delete" and message.data in self._others
         return OtherModels(self.newest_ns, gone=frozenset({message.data})) if deleted else None
 
     def _everything(self, message: Any) -> OtherModels | None:
-        """Return all poses from the server's scene."""
         asked_ns, self._refresh_ns, self._refresh_due = self._refresh_ns, None, False
         if asked_ns is None:
             return None

@@ -50,7 +50,6 @@ class Feed(EventFeed):
         """Return the topics of the model's radars."""
 
     def _seen(self, t_ns: int, pose: Any) -> ModelPose:
-        """Return the pose of the model."""
         self.newest_ns, self._known = t_ns, True
         return ModelPose(t_ns, *pose_of(pose))
 

@@ -12,7 +12,6 @@ from pydantic import Field
 
 from ullage.arrays import Floats
 from ullage.errors import InputError
-from ullage.geometry import matrix_quat, quat_matrix
 from ullage.ports.cosimulation import CosimulationOptions, CosimulationSource, matching, resolved
 from ullage.ports.gazebo.feed import Feed
 from ullage.ports.gazebo.messages import gz
@@ -22,7 +21,7 @@ from ullage.ports.gazebo.topics import RadarTopics
 from ullage.ports.gazebo.transport import TransportPeer
 from ullage.ports.intake import PATIENCE_S, Log
 from ullage.ports.live import options_of
-from ullage.ports.pose_events import ModelPose, Notice, OtherModels, stamp_ns
+from ullage.ports.pose_events import ModelPose, Notice, OtherModels, path_through, stamp_ns
 from ullage.ports.scanning import Scan, ScanSource, scan_of
 from ullage.world.scene import Scene
 
@@ -98,8 +97,9 @@ class TransportFeed(Feed):
             self.counters.drop(event.topic, "no pose", f"nothing told where {self._model!r} is")
             return None
         sensor = self._scans[event.topic]
-        mounted = transform_of(self._at) @ self._mounts[sensor]
-        pose = (tuple(mounted[:3, 3]), tuple(matrix_quat(mounted[:3, :3])))
+        model = path_through(None, [(self._at.t_ns, np.array(self._at.position), np.array(self._at.quat_xyzw))])
+        mounted = model.mounted(self._mounts[sensor])
+        pose = (tuple(mounted.position[0]), tuple(mounted.quat_xyzw[0]))
         return scan_of(message, message.header.stamp, pose, sensor=sensor)
 
     def _met(self, event: TopicOffered) -> Notice | None:
@@ -155,7 +155,6 @@ class TransportFeed(Feed):
         return self._seen(t_ns, by_name[self._model])
 
     def _full_poses_due(self) -> bool:
-        """Whether to read the full pose stream now."""
         due = bool(self._others) and time.monotonic() - self._full_poses_s > FULL_POSES_S
         if due:
             self._full_poses_s = time.monotonic()
@@ -196,13 +195,6 @@ class TransportFeed(Feed):
 
     def _radar_topics(self) -> RadarTopics:
         return RadarTopics(self._peer, f"/model/{self._model}", self._package)
-
-
-def transform_of(found: ModelPose) -> Floats:
-    """Return the transform (4, 4) from the model to the world."""
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = quat_matrix(np.array(found.quat_xyzw)), found.position
-    return out
 
 
 def open_source(address: str, options: dict[str, Any], *, log: Log | None = None) -> CosimulationSource | ScanSource:

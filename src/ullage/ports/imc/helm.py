@@ -285,7 +285,6 @@ class Helm:
                 self.inbox.put(pose, topic="flight")
 
     def _carry_out(self, packet: Packet) -> None:
-        """Carry out the command of a message."""
         if not self._adopted and packet.name in ("Heartbeat", "Announce"):
             self._adopted, self._link.me.system_id, self._link.me.shared = True, packet.src, True
         self._received_s = time.monotonic()

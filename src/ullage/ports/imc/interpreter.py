@@ -352,14 +352,13 @@ def _read_pairs() -> dict[str, Pair]:
     return out
 
 
-def _read_reasons() -> dict[str, str]:
-    lines = (line[2:].rpartition(": ") for line in TYPES.read_text().splitlines() if line.startswith("! "))
-    return {name: reason for reason, _, names in lines for name in names.split()}
-
-
 PAIRS: dict[str, Pair] = _read_pairs()
 """By IMC message: what ROS has a type for."""
-REASONS: dict[str, str] = _read_reasons()
+REASONS: dict[str, str] = {
+    name: reason
+    for reason, _, names in (line[2:].rpartition(": ") for line in TYPES.read_text().splitlines() if line[:2] == "! ")
+    for name in names.split()
+}
 """By IMC message: why ROS has no type for it."""
 
 

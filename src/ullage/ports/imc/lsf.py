@@ -6,6 +6,7 @@ import gzip
 import time
 import zlib
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +59,7 @@ class LsfSource(Recording):
             InputError: it cannot be read, or holds no packet.
         """
         parser, seen = Parser(self._table), False
-        for data in self._unpacked():
-            for packet in parser.feed(data):
-                seen = True
-                yield packet
-        for packet in parser.finish():
+        for packet in chain(chain.from_iterable(map(parser.feed, self._unpacked())), parser.finish()):
             seen = True
             yield packet
         if not seen:

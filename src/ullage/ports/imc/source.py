@@ -73,7 +73,6 @@ class ImcSource(LiveSource):
         self._backseat = self._lead_vehicle(points) if points else None
 
     def _build(self) -> None:
-        """Load the world and its radars."""
         options = self._options
         self.scene = world_of(options.world, where=self.where)
         self._radars = options.radars(self.scene, rig_of(options.rig, self.scene, "", where=self.where))

@@ -10,7 +10,6 @@ from typing import Any, Literal
 import numpy as np
 
 from ullage.arrays import Floats
-from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.geometry import apply, matrix_quat, quat_matrix, rpy_quat, transform
 from ullage.ports.cosimulation import CosimulationSource, rig_of, world_of
@@ -174,9 +173,6 @@ class PoseFeed(EventFeed):
         """Return the next pose or notice; poses from before the first call are not kept, for they would be late."""
         self._link.listens = True
         return super().next(timeout_s)
-
-    def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
-        """Nothing: the sink sends distances."""
 
     def close(self) -> None:
         """Let go of the link, unless a sink still uses it."""

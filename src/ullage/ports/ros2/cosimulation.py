@@ -48,7 +48,6 @@ class PoseFeed(EventFeed):
         return found
 
     def _begin(self, kind: str) -> Notice:
-        """Subscribe to the topic of the poses."""
         if kind not in PLACING:
             raise InputError(f"{self._topic} carries {kind}", where="pose", allowed=", ".join(PLACING))
         self._kind = kind
@@ -78,7 +77,6 @@ class PoseFeed(EventFeed):
         return stamps
 
     def _read(self, data: bytes) -> list[ModelPose]:
-        """Return the poses of the body in a message."""
         if self._kind == ros.TRANSFORMS:
             return self._from_transforms(self._add(data))
         (found,) = placements_in(self._kind, data)
@@ -107,9 +105,6 @@ class PoseFeed(EventFeed):
             return f"no poses on {self._topic} any more; waiting (Ctrl-C ends)"
         fitting = [name for name, kind in self._peer.topics().items() if kind in PLACING]
         return f"nobody publishes {self._topic}; pose=TOPIC could be {', '.join(fitting) or 'none that is there'}"
-
-    def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
-        """Nothing: nobody asked for frames."""
 
     def close(self) -> None:
         """Leave the network after all reliable messages have arrived."""

@@ -191,7 +191,6 @@ class Ros2Sink(Sink):
         self._map_subscribers = self._peer.listeners("map")  # not new: they get the first map in full
 
     def _wait(self, t_ns: int) -> None:
-        """Wait until the stamp is due."""
         if self._at_once:
             return
         due = self._limiter.due_s(t_ns, time.monotonic())

@@ -109,7 +109,6 @@ class Ros2Source(LiveSource):
             found = self._inbox.get(0.0)
 
     def _find_topics(self) -> None:
-        """Subscribe to new topics."""
         if time.monotonic() - self._searched_s < SEARCH_S:
             return
         self._searched_s = time.monotonic()
@@ -189,7 +188,6 @@ class Ros2Source(LiveSource):
         return "no frames come any more; waiting (Ctrl-C ends)"
 
     def _report(self) -> None:
-        """Publish diagnostics once a second."""
         if not self._status.is_due():
             return
         idle = time.monotonic() - self._given_s
