@@ -19,6 +19,8 @@ from hypothesis import strategies as st
 pytest.importorskip("zmq")
 pytest.importorskip("google.protobuf")
 
+from waiting import until as eventually
+
 from ullage.errors import InputError
 from ullage.ports.gazebo import transport as wire
 from ullage.ports.gazebo.classic import ClassicPeer, framed, master_of, messages, packet
@@ -36,13 +38,6 @@ def until(peer, kind, limit_s=60.0, also=lambda event: True):
         if isinstance(event, kind) and also(event):
             return event
     raise TimeoutError(f"no {kind.__name__}")
-
-
-def eventually(good, limit_s=60.0):
-    end = time.monotonic() + limit_s
-    while not good():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 both = pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from collections import deque
 
 import numpy as np
 import pytest
+from waiting import until
 
 import ullage as ul
 from conftest import some_frames
@@ -85,9 +86,7 @@ def test_a_stream_of_the_present_and_one_without_pace_wait_for_nothing(when):
     peer, frames = Notebook(), old_frames(2, start_s=start_s, step_s=3600.0)
     sink = Ros2Sink("", options, peer=peer)
     sink.write(frames)
-    limit = time.monotonic() + 60
-    while len(frame_stamps(peer)) < 2 and time.monotonic() < limit:
-        time.sleep(0.01)
+    until(lambda: len(frame_stamps(peer)) >= 2)
     assert frame_stamps(peer) == frames.t_ns.tolist()  # before it is closed
     sink.close()
 
@@ -111,9 +110,7 @@ def test_what_is_passed_on_has_no_pace():
     messages = [Passed(n * 10**12, "imc/x", "std_msgs/msg/String", b"") for n in range(3)]
     for message in messages:
         sink.write(message)
-    limit = time.monotonic() + 60
-    while len(peer.sent) < 3 and time.monotonic() < limit:
-        time.sleep(0.01)
+    until(lambda: len(peer.sent) >= 3)
     assert [message.t_ns for message, _ in peer.sent if message.quality == "relayed"] == [n.t_ns for n in messages]
     sink.close()
 

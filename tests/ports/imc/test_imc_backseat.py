@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from imc_bus import HEIGHT, VEHICLE, packed
 from imc_peer import Follower, Peer
+from waiting import until
 
 import ullage as ul
 from ullage.errors import InputError, UllageWarning
@@ -169,9 +170,7 @@ def test_the_path_and_the_commands_of_a_flight_come_before_frames_that_are_late(
         next(piece for piece in stream if piece)
         source.keep_up(0.5)
         flown = sum(len(item) for item in came if isinstance(item, ul.Trajectory))
-        end = time.monotonic() + 20.0
-        while time.monotonic() < end and sum(len(i) for i in came if isinstance(i, ul.Trajectory)) < flown + 80:
-            time.sleep(0.02)  # nobody asks for frames meanwhile
+        until(lambda: sum(len(i) for i in came if isinstance(i, ul.Trajectory)) >= flown + 80)  # and asks for no frames
         assert source.behind_s > 1.0
         paths = [item for item in came if isinstance(item, ul.Trajectory)]
         assert sum(map(len, paths)) >= flown + 80

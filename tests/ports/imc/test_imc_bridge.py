@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from imc_peer import Peer
+from waiting import until
 
 import ullage as ul
 from conftest import assert_same, some_frames
@@ -46,9 +46,7 @@ def test_frames_go_from_imc_to_ros_messages_and_back_without_losing_a_bit(tmp_pa
     with Peer() as peer, ul.sink(f"imc:{peer.place}?pace=0&truth=true&distance=off&profile=false") as sink:
         for piece in ul.open(place).stream():
             sink.write(piece)
-        end = time.monotonic() + 60
-        while sum(p.name == "DevDataBinary" for p in peer.heard) < 82 and time.monotonic() < end:
-            time.sleep(0.02)
+        until(lambda: sum(p.name == "DevDataBinary" for p in peer.heard) >= 82)
         heard = list(peer.heard)
     gather = FrameAssembler(Track())
     for packet in heard:

@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from imc_bus import HEIGHT, LAT, LON, VEHICLE, announce, estimated_state, heartbeat, packed, text
 from imc_peer import Peer
+from waiting import until
 
 import ullage as ul
 from ullage.ports.imc.assemble import MOST_PARTS, FrameAssembler, Track
@@ -29,15 +30,6 @@ from ullage.ports.imc.options import LinkOptions
 from ullage.ports.imc.table import own
 from ullage.ports.imc.wires import MOST_PEERS, OUTBOX_BYTES, Identity, UdpWire
 from ullage.ports.intake import Counters, Inbox
-
-
-def until(true: Callable[[], object], seconds: float = 60.0) -> bool:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if true():
-            return True
-        time.sleep(0.02)
-    return False
 
 
 @contextmanager
@@ -60,7 +52,7 @@ def udp(number: int, name: str, place: str = "", **options: float) -> AbstractCo
 
 
 def names(link: Link, wanted: str) -> bool:
-    return until(lambda: any(packet.name == wanted for packet in link.arriving(0.1)))
+    return bool(until(lambda: any(packet.name == wanted for packet in link.arriving(0.1))))
 
 
 def test_a_server_that_comes_late_is_waited_for() -> None:

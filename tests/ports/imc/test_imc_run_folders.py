@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from imc_peer import Peer
+from waiting import until
 
 import ullage as ul
 from ullage.experiments.folder import RunFolder
@@ -35,9 +36,7 @@ def test_a_live_run_that_is_stopped_keeps_recording_and_map(tmp_path: Path, numb
         process = subprocess.Popen(
             command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
-        until = time.monotonic() + 60
-        while not list(runs.glob(".*.draft/map.yaml")) and process.poll() is None and time.monotonic() < until:
-            time.sleep(0.05)
+        until(lambda: list(runs.glob(".*.draft/map.yaml")) or process.poll() is not None)
         time.sleep(1.0)  # the recording is at most half a second behind
         process.send_signal(number)
         printed, _ = process.communicate(timeout=100)

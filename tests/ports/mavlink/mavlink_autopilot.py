@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from pymavlink.dialects.v20 import common as mav
+from waiting import until
 
 
 def free_port() -> int:
@@ -88,12 +89,8 @@ class Autopilot:
 
     def await_(self, kind: str, count: int = 1, timeout_s: float = 20.0) -> list[Any]:
         """Wait for messages of a type."""
-        end = time.monotonic() + timeout_s
-        while len(self.of(kind)) < count and time.monotonic() < end:
-            time.sleep(0.01)
-        found = self.of(kind)
-        assert len(found) >= count, f"{len(found)} {kind} came, not {count}"
-        return found
+        until(lambda: len(self.of(kind)) >= count, timeout_s)
+        return self.of(kind)
 
     def _run(self) -> None:
         heartbeat = pose = question = 0.0

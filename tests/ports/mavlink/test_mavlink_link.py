@@ -16,6 +16,7 @@ pytest.importorskip("pymavlink")
 
 from mavlink_autopilot import Autopilot, free_port
 from pymavlink.dialects.v20 import common as mav
+from waiting import until
 
 import ullage as ul
 from ullage.ports.mavlink.link import Link, leave, open_link
@@ -40,14 +41,6 @@ def link_to(said: list[str]) -> Iterator[Opened]:
     yield opened
     for link in links:
         leave(link, "sink")
-
-
-def until(done: Callable[[], Any], timeout_s: float = 20.0) -> Any:
-    end = time.monotonic() + timeout_s
-    while not (found := done()) and time.monotonic() < end:
-        time.sleep(0.01)
-    assert found
-    return found
 
 
 def test_heartbeats_come_once_a_second_from_an_obstacle_avoidance_companion_of_the_vehicle(link_to: Opened) -> None:

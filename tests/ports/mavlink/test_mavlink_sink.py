@@ -15,6 +15,7 @@ pytest.importorskip("pymavlink")
 
 from mavlink_autopilot import Autopilot
 from test_mavlink_encode import sectors
+from waiting import until
 
 import ullage as ul
 from ullage.ports.mavlink.options import SinkOptions
@@ -93,9 +94,7 @@ def test_single_sensors_can_be_left_out(autopilot: Autopilot, said: list[str]) -
 
 def test_stamps_of_the_present_become_those_of_the_autopilots_clock(said: list[str]) -> None:
     with Autopilot(boot_ns=-time.monotonic_ns() + 77 * 10**9) as autopilot, sink(autopilot, said) as out:
-        end = time.monotonic() + 20
-        while not out.link.clock.known and time.monotonic() < end:
-            time.sleep(0.01)
+        until(lambda: out.link.clock.known)
         first = autopilot.clock_ns() * 1e-9
         deliver(out, autopilot)
         last, error = autopilot.clock_ns() * 1e-9, 0.5  # of the offset, on a busy machine; the clock says over 77 s
@@ -107,9 +106,8 @@ def test_stamps_of_the_present_become_those_of_the_autopilots_clock(said: list[s
 def test_silent_radars_make_the_sink_silent_and_its_state_critical(autopilot: Autopilot, said: list[str]) -> None:
     with sink(autopilot, said) as out:
         deliver(out, autopilot)
-        sent, end = len(autopilot.of("OBSTACLE_DISTANCE")), time.monotonic() + 60
-        while 5 not in {beat.system_status for beat in autopilot.of("HEARTBEAT")} and time.monotonic() < end:
-            time.sleep(0.01)
+        sent = len(autopilot.of("OBSTACLE_DISTANCE"))
+        until(lambda: 5 in {beat.system_status for beat in autopilot.of("HEARTBEAT")})
         assert autopilot.of("HEARTBEAT")[-1].system_status == 5  # MAV_STATE_CRITICAL
         assert len(autopilot.of("OBSTACLE_DISTANCE")) == sent
         assert any("no distances for 0.5 s, so none are sent" in line for line in said)
