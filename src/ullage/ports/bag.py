@@ -9,14 +9,13 @@ from __future__ import annotations
 import fcntl
 import os
 import signal
-import threading
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from ullage.data import Detections, Frames, Trajectory
@@ -31,6 +30,7 @@ from ullage.ports.publisher import Message, Publisher, Role
 from ullage.ports.replay import MAGIC, McapSource
 from ullage.ports.schema import QUALITIES, Quality
 from ullage.processing.obstacles import ObstacleSectors
+from ullage.stop_signals import StopFlag
 from ullage.world.scene import Scene
 
 RECORDED = (Frames, Mapping, Trajectory, OccupancyMap, Detections, ObstacleSectors, Scene, Image, Passed)
@@ -269,17 +269,10 @@ def hash_of(kind: str) -> str:
 @contextmanager
 def unbroken() -> Iterator[None]:
     """Defer Ctrl-C until a record is complete."""
-    if threading.current_thread() is not threading.main_thread():
+    with StopFlag(raises_at=sys.maxsize) as stop:
         yield
-        return
-    caught: list[tuple[int, FrameType | None]] = []
-    before = signal.signal(signal.SIGINT, lambda number, frame: caught.append((number, frame)))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before if before is not None else signal.SIG_DFL)
-    if caught and callable(before):
-        before(*caught[0])
+    if stop.requested:
+        signal.raise_signal(signal.SIGINT)
 
 
 def repair_bag(target: str | Path) -> str:

@@ -5,6 +5,7 @@ Ray casting resolves occlusion exactly. Rays start behind the near walls and the
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from ullage.arrays import Bools, Floats
 from ullage.errors import InputError
+from ullage.files import write_whole
 from ullage.view.figures import new_figure
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene, Wires
@@ -312,9 +314,7 @@ def save_palette_png(figure: Figure, file: Path) -> None:
     from PIL import Image
 
     file.parent.mkdir(parents=True, exist_ok=True)
-    draft = file.with_name(f".{file.name}")
-    figure.savefig(draft, dpi=100, format="png")
-    with Image.open(draft) as whole:
-        small = whole.convert("RGB").quantize(256, dither=Image.Dither.NONE)
-    small.save(draft, format="PNG", optimize=True)
-    draft.replace(file)
+    whole = io.BytesIO()
+    figure.savefig(whole, dpi=100, format="png")
+    small = Image.open(whole).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    write_whole(file, lambda out: small.save(out, format="PNG", optimize=True))
