@@ -15,26 +15,20 @@ from ullage.ports.ros2.sink import StampOrder
 S = 10**9
 
 
-def test_stamps_are_due_by_their_own_clock():
-    pace = RateLimiter(2.0)
-    assert [pace.due_s(t * S, 100.0) for t in (5, 6, 9)] == [100.0, 100.5, 102.0]
+DUE = {
+    "by their own clock": (2.0, [(5, 100.0, 100.0), (6, 100.0, 100.5), (9, 100.0, 102.0)]),
+    "anew after a jump back and a late maker": (1.0, [(50, 0, 0), (10, 1, 1), (11, 1, 2), (12, 7, 7), (13, 7, 8)]),
+    "at once where late, and nothing moves": (1.0, [(10, 0, 0), (12, 2, 2), (11.5, 2, 1.5), (13, 2, 3)]),
+    "at once": (0.0, [(10**9, 3, 3)]),
+}
+"""Rate; stamps [s], when they come, and when they are due [s]."""
 
 
-def test_a_jump_back_and_a_late_maker_begin_anew():
-    pace = RateLimiter(1.0)
-    pace.due_s(50 * S, 0.0)
-    assert pace.due_s(10 * S, 1.0) == 1.0
-    assert pace.due_s(11 * S, 1.0) == 2.0
-    assert pace.due_s(12 * S, 7.0) == 7.0
-    assert pace.due_s(13 * S, 7.0) == 8.0
-
-
-def test_a_late_message_is_due_at_once_and_moves_nothing():
-    pace = RateLimiter(1.0)
-    pace.due_s(10 * S, 0.0)
-    assert pace.due_s(12 * S, 2.0) == 2.0
-    assert pace.due_s(11_500_000_000, 2.0) == 1.5
-    assert pace.due_s(13 * S, 2.0) == 3.0
+@pytest.mark.parametrize("how", DUE)
+def test_stamps_are_due(how):
+    rate, stamps = DUE[how]
+    pace = RateLimiter(rate)
+    assert [pace.due_s(round(t * S), now_s) for t, now_s, _ in stamps] == [due_s for *_, due_s in stamps]
 
 
 def at(t_ns: int, what: str = "frame") -> Message:
@@ -77,10 +71,6 @@ def test_a_leap_ahead_is_said_and_not_waited_for():
     with pytest.warns(UllageWarning, match=r"the stamps leap 3\.16e\+08 s ahead, which is not waited for"):
         assert pace.due_s(9 * S + 316 * 10**6 * S, 9.0) == 9.0
     assert pace.due_s(10 * S + 316 * 10**6 * S, 9.0) == 10.0
-
-
-def test_at_once_is_at_once():
-    assert RateLimiter(0).due_s(10**18, 3.0) == 3.0
 
 
 class Topics:

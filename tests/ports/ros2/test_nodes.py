@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import time
 
 import pytest
@@ -9,6 +10,14 @@ import pytest
 from .network import Network, result_of
 
 pytestmark = pytest.mark.ros2
+
+
+def interrupted(node: subprocess.Popen[str]) -> str:
+    """What a node said as an error once Ctrl-C has ended it."""
+    node.send_signal(2)
+    _, err = node.communicate(timeout=120)
+    assert node.returncode == 0, err
+    return err
 
 
 def test_a_node_goes_through_its_states_and_refuses_what_it_cannot(network: Network) -> None:
@@ -23,9 +32,7 @@ def test_a_node_goes_through_its_states_and_refuses_what_it_cannot(network: Netw
     assert got["states"] == ["inactive", "active", "inactive", "unconfigured", "inactive", "active"]
     assert got["heard"]["active"] > 5
     assert got["heard"]["inactive"] <= 2  # what was under way
-    node.send_signal(2)
-    _, err = node.communicate(timeout=120)
-    assert node.returncode == 0, err
+    err = interrupted(node)
     assert "no world 'nowhere'" in err
     robot.kill()
 
@@ -36,9 +43,7 @@ def test_the_mapping_node_publishes_a_map_of_what_it_hears(network: Network) -> 
     speaker = network.start("speak.py", "ros2:/flying?pace=0.5&node=speaker&listeners=1")
     got = result_of(listener)
     assert got["last"]["/map"]["info"]["width"] in (100, 101)
-    node.send_signal(2)
-    _, err = node.communicate(timeout=120)
-    assert node.returncode == 0, err
+    interrupted(node)
     assert speaker.poll() in (None, 0)
 
 
@@ -58,9 +63,7 @@ def test_the_mapping_node_maps_as_the_thesis_did_and_publishes_often(network: Ne
     got = result_of(listener, stop=True)
     assert got["last"]["/map/cells"]["method"] == "elfes"
     assert got["count"]["/map"] + got["count"]["/updates"] > 12  # one a second would be 8
-    node.send_signal(2)
-    _, err = node.communicate(timeout=120)
-    assert node.returncode == 0, err
+    interrupted(node)
 
 
 STOPPED_BEFORE_IT_SPINS = """
@@ -99,8 +102,6 @@ def test_the_mapping_node_outlives_a_flight_that_leaves_its_map(network: Network
     assert again.wait(120) == 0
     got = result_of(listener, stop=True)
     assert got["last"]["/map"]["info"]["width"] in (10, 11)
-    node.send_signal(2)
-    _, err = node.communicate(timeout=120)
-    assert node.returncode == 0, err
+    err = interrupted(node)
     assert "the flight has left the map" in err
     assert "does not hold the flight" not in err
