@@ -185,9 +185,7 @@ def test_rosbags_reads_poses_where_we_put_them(tmp_path: Path) -> None:
     at, twist = messages["/odom"].pose.pose.position, messages["/odom"].twist.twist.linear
     np.testing.assert_allclose((at.x, at.y, at.z), body.position[-1], atol=1e-12)
     np.testing.assert_allclose((twist.x, twist.y), 0.5 * np.array([np.cos(np.pi / 6), -np.sin(np.pi / 6)]), atol=1e-12)
-    assert tree == {
-        ("/tf_static", "map", "odom"), ("/tf", "odom", "base_link"), ("/tf_static", "base_link", "left"),
-    }  # fmt: skip
+    assert tree == {("/tf_static", "map", "odom"), ("/tf", "odom", "base_link"), ("/tf_static", "base_link", "left")}
     path = ul.open(tmp_path / "run").trajectory()
     assert path is not None
     np.testing.assert_allclose(path.position, body.position, atol=1e-12)

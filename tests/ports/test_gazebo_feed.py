@@ -323,10 +323,9 @@ LINKS = (("base", [("front", "ray"), ("camera", "camera"), ("left", "gpu_ray")])
         ("left, down,left", ["base/left", "arm/down"], []),
         ("*", ["base/front", "base/left", "arm/down"], []),
         ("f*,d*", ["base/front", "arm/down"], []),
-        ("front,camera,rear", ["base/front"],
-         ["no ray sensor 'camera', 'rear' on 'x' (there are front, left, down)"]),
+        ("front,camera,rear", ["base/front"], ["no ray sensor 'camera', 'rear' on 'x' (there are front, left, down)"]),
     ],
-)  # fmt: skip
+)
 def test_the_named_ray_sensors_of_gzserver_are_joined(rays, want, said):
     feed, peer = feed_of_model(rays, *LINKS)
     assert texts(taken(feed, peer)) == said

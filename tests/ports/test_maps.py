@@ -488,9 +488,7 @@ def test_viewers_get_the_known_cells_of_a_plane_map_and_no_unknown_ones(tmp_path
 def a_surface(kind: str, x: float, *, on_map: bool = True) -> MappedSurface:
     """Three specular points of an upright wall that faces -x."""
     points, normals = np.array([[x, 0.0], [x, 0.1], [x, 0.2]]), np.tile([-1.0, 0.0], (3, 1))
-    return MappedSurface(
-        kind, np.zeros(2), np.array([x, 0.0, 0.0, 1.0]), np.eye(4), 40.0, 3, on_map, points, normals
-    )  # fmt: skip
+    return MappedSurface(kind, np.zeros(2), np.array([x, 0.0, 0.0, 1.0]), np.eye(4), 40.0, 3, on_map, points, normals)
 
 
 def test_viewers_get_the_surfaces_of_a_plane_map_as_lines_along_them(tmp_path: Path) -> None:

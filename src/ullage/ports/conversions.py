@@ -253,9 +253,7 @@ def command_of(kind: str, data: bytes) -> tuple[int, Wish]:
     message = ros.from_bytes(kind, data)
     if kind == ros.TWIST_STAMPED:
         linear, turn = message.twist.linear, message.twist.angular.z
-        return stamp_ns(message.header), Wish(
-            velocity_m_s=(linear.x, linear.y), climb_m_s=linear.z, turn_rad_s=turn
-        )  # fmt: skip
+        return stamp_ns(message.header), Wish(velocity_m_s=(linear.x, linear.y), climb_m_s=linear.z, turn_rad_s=turn)
     at, turned = message.pose.position, message.pose.orientation
     heading = float(quat_rpy((turned.x, turned.y, turned.z, turned.w))[2])
     return stamp_ns(message.header), Wish(position_m=(at.x, at.y, at.z), heading_rad=heading)

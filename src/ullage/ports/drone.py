@@ -176,9 +176,8 @@ class Guided:
     """
 
     def __init__(
-        self, drone: Drone, takes: Takes, limits: Limits, *, log: Log,
-        now: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
+        self, drone: Drone, takes: Takes, limits: Limits, *, log: Log, now: Callable[[], float] = time.monotonic
+    ) -> None:
         self._drone, self._takes, self._limits, self._log, self._now = drone, takes, limits, log, now
         self._once = Once(log)
         self.wish = Wish()

@@ -264,9 +264,7 @@ class Publisher:
         return out
 
     def _fixed_messages(self, parts: list[Frames], t_ns: int) -> Iterator[Message]:
-        mounts = {
-            (self._body, self._prefix + part.sensor): part.spec.mount.body_from_sensor() for part in parts
-        }  # fmt: skip
+        mounts = {(self._body, self._prefix + part.sensor): part.spec.mount.body_from_sensor() for part in parts}
         same = all(key in self._fixed and np.array_equal(self._fixed[key], value) for key, value in mounts.items())
         if self._begun and same:
             return

@@ -196,8 +196,7 @@ def _echoes_in_profile(axes: Axes, frames: Frames, i: int, shown: Sequence[Contr
         axes.plot(at, c.path_gain_db, "o", color=BOUNCE_COLORS[c.bounces - 1], ms=5)
         axes.annotate(str(k + 1), (at, c.path_gain_db), xytext=(3, 5), textcoords="offset points", fontsize=8,
                       color=BOUNCE_COLORS[c.bounces - 1])  # fmt: skip
-    lines = [f"{k + 1}  {' > '.join(c.path)}, {c.range_m:.2f} m, {c.path_gain_db:.0f} dB"
-             for k, c in enumerate(shown)]  # fmt: skip
+    lines = [f"{k + 1}  {' > '.join(c.path)}, {c.range_m:.2f} m, {c.path_gain_db:.0f} dB" for k, c in enumerate(shown)]
     axes.text(0.985, 0.975, "\n".join(lines), transform=axes.transAxes, ha="right", va="top", fontsize=7,
               bbox={"facecolor": "white", "edgecolor": "0.85", "alpha": 0.9})  # fmt: skip
     axes.set_ylim(base - 3, top + 0.75 * (top - base))

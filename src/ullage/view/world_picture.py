@@ -128,9 +128,8 @@ class _Eye:
         corners = corners_of(box)
         seen = self.project(corners)
         least, size = seen.min(0), np.ptp(seen, axis=0)
-        margin = (
-            0.02 * size[0] + np.maximum(LEAST_SHARE * max(size.max(), 0.01) - size, 0.0) / 2
-        )  # more for flat objects
+        # more for flat objects
+        margin = 0.02 * size[0] + np.maximum(LEAST_SHARE * max(size.max(), 0.01) - size, 0.0) / 2
         (left, bottom), (right_end, top) = least - margin, least + size + margin
         self.extent = (left, right_end, bottom, top)
         self.back = float((corners @ toward).min()) - 1.0

@@ -41,9 +41,7 @@ def carried(names: set[str]) -> list[str]:
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    st.lists(st.sampled_from(carried(set(PAIRS))).flatmap(sensible), min_size=1, max_size=6), st.randoms()
-)  # fmt: skip
+@given(st.lists(st.sampled_from(carried(set(PAIRS))).flatmap(sensible), min_size=1, max_size=6), st.randoms())
 def test_messages_come_back_whole_whatever_order_their_parts_take(messages: list[Message], rng: random.Random) -> None:
     packets = [Packet(m, 1.7e9 + 0.25 * k, VEHICLE, 7 + k) for k, m in enumerate(messages)]
     items = [item for packet in packets for item in passed(packet, 5)]

@@ -33,9 +33,7 @@ def test_a_live_run_that_is_stopped_keeps_recording_and_map(tmp_path: Path, numb
     with Peer(tick=lambda _: pieces.pop() if pieces else b"") as peer:
         small = ("-o", "map.method=elfes", "-o", "map.reach_m=4", "-o", "map.step_m=0.2")
         command = [sys.executable, "-m", "ullage", "run", f"imc:{peer.place}", *small]
-        process = subprocess.Popen(
-            command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )  # fmt: skip
+        process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         until(lambda: list(runs.glob(".*.draft/map.yaml")) or process.poll() is not None)
         time.sleep(1.0)  # the recording is at most half a second behind
         process.send_signal(number)

@@ -51,9 +51,7 @@ def main() -> None:
             wanted = [(place[k] - at[k]) / 0.5 for k in range(3)]
         else:
             ahead, left, up = twist.linear.x, twist.linear.y, twist.linear.z
-            wanted = [
-                ahead * math.cos(yaw) - left * math.sin(yaw), ahead * math.sin(yaw) + left * math.cos(yaw), up,
-            ]  # fmt: skip
+            wanted = [ahead * math.cos(yaw) - left * math.sin(yaw), ahead * math.sin(yaw) + left * math.cos(yaw), up]
         v = [v[k] + (wanted[k] - v[k]) * STEP_S / LAG_S for k in range(3)]
         at = [at[k] + v[k] * STEP_S for k in range(3)]
         turn = twist.angular.z

@@ -158,9 +158,7 @@ def test_a_range_outside_its_own_limits_is_no_echo(tmp_path: Path) -> None:
     np.testing.assert_allclose(peak[met], np.array(ranges)[met], atol=0.03)
 
 
-@pytest.mark.parametrize(
-    ("name", "words"), [("broken.bag", "not a bag"), ("empty.db3", "not a bag")]
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "words"), [("broken.bag", "not a bag"), ("empty.db3", "not a bag")])
 def test_what_is_no_bag_is_one_line(tmp_path: Path, name: str, words: str) -> None:
     (tmp_path / name).write_bytes(b"#ROSBAG V2.0\nrubbish" * 3)
     with pytest.raises(ul.InputError, match=words):

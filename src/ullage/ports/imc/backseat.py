@@ -131,9 +131,7 @@ class Backseat:
         log: takes lines for the user.
     """
 
-    def __init__(
-        self, link: Link, mission: Waypoints, *, z: str, near_m: float, log: Log
-    ) -> None:  # fmt: skip
+    def __init__(self, link: Link, mission: Waypoints, *, z: str, near_m: float, log: Log) -> None:
         self._link, self._mission, self._near, self._log = link, mission, near_m, log
         self._follow = Follow(link, z=z, radius_m=near_m, log=log)
         self.target = 0

@@ -136,9 +136,7 @@ _ENCODINGS = {8: "8UC1", 16: "16UC1", 32: "32SC1"}
 CONVERSIONS: dict[str, Conversion] = {
     "same": Conversion(lambda m, a: m[a[0]], lambda value, a: {a[0]: value}),
     "const": Conversion(lambda m, a: _constant(a[0])),
-    "times": Conversion(
-        lambda m, a: m[a[1]] * float(a[0]), lambda value, a: {a[1]: value / float(a[0])}
-    ),
+    "times": Conversion(lambda m, a: m[a[1]] * float(a[0]), lambda value, a: {a[1]: value / float(a[0])}),
     "degrees": _scaled(180 / math.pi),
     "negative": _scaled(-1.0),
     "heading": Conversion(lambda m, a: math.pi / 2 - m[a[0]], lambda value, a: {a[0]: math.pi / 2 - value}),
@@ -163,9 +161,7 @@ CONVERSIONS: dict[str, Conversion] = {
         lambda m, a: int(a[2] if m[a[1]] & int(a[0]) else a[3]),
         lambda value, a: {a[1]: 0 if value == int(a[3]) else int(a[0])},
     ),
-    "equals": Conversion(
-        lambda m, a: m[a[0]] == int(a[1]), lambda value, a: {a[0]: int(a[1] if value else a[2])}
-    ),
+    "equals": Conversion(lambda m, a: m[a[0]] == int(a[1]), lambda value, a: {a[0]: int(a[1] if value else a[2])}),
     # FIELD NUMBERS: ERROR of DiagnosticStatus for these numbers; without numbers, for any but 0
     "level": Conversion(lambda m, a: 2 if (m[a[0]] in map(int, a[1:]) if len(a) > 1 else m[a[0]]) else 0),
     "json": Conversion(
@@ -183,7 +179,7 @@ CONVERSIONS: dict[str, Conversion] = {
     "first": Conversion(lambda m, a: float(m[a[0]][0][a[1]]) if m[a[0]] and m[a[0]][0] is not None else 0.0),
     "label": Conversion(lambda m, a: [f"{a[0]}_{m[a[1]]}"]),
     "list": Conversion(lambda m, a: [float(m[a[0]])]),
-}  # fmt: skip
+}
 """By the word that `ros_types.txt` uses; the arguments are names of IMC fields and numbers."""
 
 

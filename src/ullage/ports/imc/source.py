@@ -99,9 +99,7 @@ class ImcSource(LiveSource):
         o = self._options
         address = Address.of(o.fly)
         if address is None:
-            return Simulated(
-                o.fly, scene=self.scene, start=start, rate_hz=o.state_hz, pace=o.pace, log=self._log
-            )  # fmt: skip
+            return Simulated(o.fly, scene=self.scene, start=start, rate_hz=o.state_hz, pace=o.pace, log=self._log)
         made: Any = address.part("drone")
         if made is None or not issubclass(made.settings, DroneOptions):
             raise InputError(f"no drone at {o.fly!r}", where="fly", allowed="a vehicle, ros2:NAMESPACE, gazebo:MODEL")
@@ -114,9 +112,7 @@ class ImcSource(LiveSource):
         from ullage.ports.imc.helm import Helm
 
         home = self._track.origin = self._options.place() or TRONDHEIM
-        return Helm(
-            vehicle, self._link, home, self._options, log=self._log, take=self._relay, passing=self.passing
-        )  # fmt: skip
+        return Helm(vehicle, self._link, home, self._options, log=self._log, take=self._relay, passing=self.passing)
 
     def _lead_vehicle(self, points: list[tuple[float, ...]]) -> Backseat:
         from ullage.flight.missions import Waypoints

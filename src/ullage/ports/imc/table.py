@@ -55,9 +55,7 @@ class Kind:
     id: int
     name: str
     fields: tuple[Field, ...]
-    runs: tuple[tuple[Field, ...], ...] = field(
-        init=False, compare=False
-    )  # numbers that lie side by side, or one other
+    runs: tuple[tuple[Field, ...], ...] = field(init=False, compare=False)  # numbers side by side, or one other
     packers: tuple[tuple[struct.Struct, ...], ...] = field(init=False, compare=False)  # little endian, big endian
 
     def __post_init__(self) -> None:

@@ -238,9 +238,7 @@ def read_track(path: Path, *, topic: str = "", body: str = "base_link", datum: s
     return track_of_poses([(one.t_ns, one.position, one.quat_xyzw) for one in placed_at], path)
 
 
-def _sound(
-    kind: str, *, messages: Iterable[bytes], decode: Callable[[str, bytes], Any], path: Path
-) -> Iterator[Any]:  # fmt: skip
+def _sound(kind: str, *, messages: Iterable[bytes], decode: Callable[[str, bytes], Any], path: Path) -> Iterator[Any]:
     """Decode messages; those that cannot be read are left out, with a warning."""
     bad = 0
     for data in messages:

@@ -137,10 +137,8 @@ class RobotFeed(PoseFeed):
             for message in self._publisher.messages(item):
                 if message.topic in ("odom", "truth/odom", "path") or (message.topic == "/tf" and not self._moves()):
                     continue  # the robot publishes these itself
-                if self._peer.send(message):
-                    self._peer.claim(
-                        self._peer.resolved(message.topic)
-                    )  # a `--to ros2:` sink then does not publish it again
+                if self._peer.send(message):  # a `--to ros2:` sink then does not publish it again
+                    self._peer.claim(self._peer.resolved(message.topic))
 
     def pass_on(self, item: Passed) -> None:
         """Publish a message as it is."""

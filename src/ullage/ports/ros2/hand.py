@@ -156,9 +156,7 @@ def open_flight(namespace: str, options: TopicFlyOptions, *, log: Log | None = N
         raise InputError("no start", where=where, allowed="start=X,Y,Z or start=X,Y,Z,YAW in metres and degrees")
     controls = TopicControls(Peer(namespace, options), options, log=log)
     try:
-        return HandFlownSource(
-            scene, rig, options, controls, start=start, log=log, frame_prefix=options.frame_prefix
-        )  # fmt: skip
+        return HandFlownSource(scene, rig, options, controls, start=start, log=log, frame_prefix=options.frame_prefix)
     except BaseException:
         controls.close()
         raise

@@ -167,9 +167,8 @@ class Incoming:
     def take_range(self, topic: str, data: bytes) -> None:
         """Take a Range message: one echo of the radar's own pulse at that range, or none."""
         short = ros.layout(ros.RANGE, conversions.text_in(data, 0).encode()).dtype.itemsize - len(data)
-        message = ros.from_bytes(
-            ros.RANGE, data + bytes(4 if 0 < short <= 4 else 0)
-        )  # ROS 1 and Humble have no variance
+        # ROS 1 and Humble have no variance
+        message = ros.from_bytes(ros.RANGE, data + bytes(4 if 0 < short <= 4 else 0))
         bins = np.arange(max(int(message.max_range / self._spec.bin_m) + 8, 16))
         range_m: Floats = np.asarray(self._spec.bin_m * bins, np.float64)
         width = C0 / 2 * self._spec.pulse_sigma_s

@@ -118,9 +118,8 @@ class Peer:
         self._searched_s = 0.0
         self._publishers: dict[str, Any] = {}
         self._subscriptions: list[Any] = []
-        self._entered: dict[
-            str, tuple[str, float]
-        ] = {}  # by topic: a hidden topic of ours, and when others know it [s]
+        # by topic: a hidden topic of ours, and when others know it [s]
+        self._entered: dict[str, tuple[str, float]] = {}
         self._sharing = Sharing(self)
         self._once = Once()
         self._claimed: set[str] = set()
