@@ -121,8 +121,7 @@ class MapChanges:
                 yield on("map/surfaces", t_ns, encode.surfaces_message(omap, t_ns))
         elif box[1] > box[0]:
             y0, y1, x0, x1 = box
-            update = encode.update_message(t_ns, x0, y0, cells[y0:y1, x0:x1])
-            yield on("map_updates", t_ns, update)
+            yield on("map_updates", t_ns, encode.update_message(t_ns, x0, y0, cells[y0:y1, x0:x1]))
 
 
 def changed(before: NDArray[np.int8], now: NDArray[np.int8]) -> tuple[int, int, int, int]:

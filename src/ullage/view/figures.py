@@ -56,8 +56,7 @@ def drawing(
 ) -> Iterator[tuple[Figure, Any]]:
     """Make a figure that is written to `path` at the end, under a temporary name until complete."""
     figure = new_figure(size_in)
-    axes = figure.subplots(1, columns)
-    yield figure, axes
+    yield figure, figure.subplots(1, columns)
     fit_titles(figure)
     save_figure(figure, Path(path), dpi=130)
 

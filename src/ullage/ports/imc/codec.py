@@ -86,8 +86,7 @@ def make(kind: str, /, *, table: Table | None = None, **values: Any) -> Message:
     Raises:
         InputError: there is no such message or field.
     """
-    known = (table or own()).named(kind)
-    blank = known.empty()
+    blank = (table or own()).named(kind).empty()
     for name in values:
         if name not in blank:
             raise InputError(f"no field {name!r}", where=kind, allowed=", ".join(blank) or "none")

@@ -116,8 +116,7 @@ def profile_of(message: Mapping[str, Any]) -> tuple[Floats, Floats] | None:
 
 def exact(frames: Frames, start: int, *, truth: bool) -> list[Message]:
     """Return DevDataBinary of each frame, numbered from `start`; none if a frame is too long for a packet."""
-    bare = frames if truth else replace(frames, truth=None)
-    messages = conversions.frame_messages(bare, start)
+    messages = conversions.frame_messages(frames if truth else replace(frames, truth=None), start)
     if not messages or len(messages[0]) + 64 > MOST:
         return []
     return [make("DevDataBinary", value=ros.FRAME.encode() + b"\0" + data) for data in messages]

@@ -50,8 +50,7 @@ class Link(Closing):
             InputError: a value does not fit its field.
         """
         stamp = time.time() if t_s is None else t_s
-        data = encode(Packet(message, stamp, self.me.system_id, entity, dst, dst_ent), table=self.table)
-        self._queue(data)
+        self._queue(encode(Packet(message, stamp, self.me.system_id, entity, dst, dst_ent), table=self.table))
         if self.out.lost:
             self._once("the peer reads too slowly; the oldest messages to it are dropped")
         self.wire.wake()

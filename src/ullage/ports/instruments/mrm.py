@@ -194,8 +194,7 @@ class MrmRadar:
         if self._socket is None:
             return
         try:
-            request = struct.pack(">HHHHI", CONTROL, next(self._numbers) & 0xFFFF, 0, 0, 0)
-            self._send(request)
+            self._send(struct.pack(">HHHHI", CONTROL, next(self._numbers) & 0xFFFF, 0, 0, 0))
         except OSError:
             pass  # it is gone
         finally:
