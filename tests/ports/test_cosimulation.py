@@ -10,13 +10,7 @@ from scripted import Script
 
 import ullage as ul
 from ullage.ports import schema as ros
-from ullage.ports.cosimulation import (
-    CosimulationOptions,
-    CosimulationSource,
-    resolved,
-    rig_of,
-    world_of,
-)
+from ullage.ports.cosimulation import CosimulationOptions, CosimulationSource, resolved, rig_of, world_of
 from ullage.ports.diagnostics import RadarStatus
 from ullage.ports.gazebo.sink import GazeboSink
 from ullage.ports.gazebo.topics import nearest

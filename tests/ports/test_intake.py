@@ -50,9 +50,7 @@ def test_times_rise_and_nothing_vanishes_whatever_the_stamps_are(stamps):
     assert all((one.track > 0) == (one.track > out[0].track) for one in out)
 
 
-@given(
-    st.lists(st.tuples(st.integers(0, 3), st.integers(0, 2**62)), max_size=80),
-)
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 2**62)), max_size=80))
 def test_streams_of_one_clock_rise_each_and_lose_nothing(messages):
     counters = Counters()
     clock = Clock(counters)
@@ -266,9 +264,7 @@ def test_counts_come_in_one_line_a_topic_and_as_pairs():
     for cause in ("position is not finite", "too short", "position is not finite"):
         counters.drop("odom", "bad", cause)
     counters.drop("odom", "late")
-    assert counters.lines() == [
-        "odom: dropped 3 bad (position is not finite; too short), 1 late, of 1,204 received",
-    ]
+    assert counters.lines() == ["odom: dropped 3 bad (position is not finite; too short), 1 late, of 1,204 received"]
     assert counters.values() == [
         ("odom: received", "1204"), ("odom: bad", "3"), ("odom: late", "1"), ("scan: received", "3"),
         ("clock steps", "0"),

@@ -189,8 +189,7 @@ def test_units_of_length(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("axis", "forward", "left"),
-    [(0, (1, 0, 0), (0, 0, 1)), (1, (0, 1, 0), (-1, 0, 0)), (2, (0, 0, 1), (0, 1, 0))],
+    ("axis", "forward", "left"), [(0, (1, 0, 0), (0, 0, 1)), (1, (0, 1, 0), (-1, 0, 0)), (2, (0, 0, 1), (0, 1, 0))]
 )
 def test_attitude_turns_with_the_axes(
     tmp_path: Path, axis: int, forward: tuple[int, ...], left: tuple[int, ...]

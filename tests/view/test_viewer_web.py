@@ -83,9 +83,7 @@ def waited(found: Any, process: subprocess.Popen[str], *, most_s: float = 240.0)
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("heeded_signals")
-def test_in_chromium_the_page_shows_the_flight_and_ctrl_c_ends_it(
-    serving: tuple[subprocess.Popen[str], str],
-) -> None:
+def test_in_chromium_the_page_shows_the_flight_and_ctrl_c_ends_it(serving: tuple[subprocess.Popen[str], str]) -> None:
     process, address = serving
     page_of = urlsplit(address)
     data = urlsplit(parse_qs(page_of.query)["url"][0])

@@ -146,13 +146,7 @@ def test_somebody_with_our_number_is_named() -> None:
 
 
 def test_questions_are_answered() -> None:
-    asked = iter(
-        [
-            packed(5, b"\x01" + text(b""), t_s=1.7e9),
-            packed(4, b"\x0a", t_s=1.7e9),
-            packed(2, b"", t_s=1.7e9),
-        ]
-    )
+    asked = iter([packed(5, b"\x01" + text(b""), t_s=1.7e9), packed(4, b"\x0a", t_s=1.7e9), packed(2, b"", t_s=1.7e9)])
     frames = ul.Frames(
         [[0j] * 8], ul.RadarSpec.preset("x4m05", bins=8).range_m, [1], ul.RadarSpec.preset("x4m05", bins=8)
     )

@@ -133,10 +133,7 @@ def test_what_is_no_radar_is_said_in_one_line(tmp_path, x4, monkeypatch):
 
 
 def test_a_device_in_use_is_said_so(x4):
-    with (
-        ul.open(f"x4:{x4.path}?duration_s=1"),
-        pytest.raises(InputError, match="in use: another program has it open"),
-    ):
+    with ul.open(f"x4:{x4.path}?duration_s=1"), pytest.raises(InputError, match="in use: another program has it open"):
         ul.open(f"x4:{x4.path}")
 
 
