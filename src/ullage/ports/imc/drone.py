@@ -87,10 +87,6 @@ class ImcDrone(Drone):
         """Stop the plan: DUNE holds the vehicle as its configuration says."""
         self._follow.stop()
 
-    def land(self) -> None:
-        """Stop the plan."""
-        self._follow.stop()
-
     def close(self) -> None:
         """Leave the bus after the last messages were sent."""
         self._link.flush(1.0)
