@@ -32,8 +32,8 @@ def planner(home: tuple[float, float] = (1.0, 1.0)) -> ViewPlanner:
 
 
 def room_along(omap: OccupancyMap, leg: Leg) -> float:
-    """Least distance from the path to a cell that is not free [m]."""
-    gap = distance_transform_edt(np.pad(omap.free, 1))[1:-1, 1:-1] * STEP_M
+    """Least distance from the path to a cell of a surface, or off the grid [m]."""
+    gap = distance_transform_edt(np.pad(~omap.occupied, 1))[1:-1, 1:-1] * STEP_M
     points = np.concatenate([np.linspace(a, b, 50) for a, b in zip(leg.path[:-1], leg.path[1:], strict=True)])
     cells, _ = GRID.index(points)
     return float(gap[cells[:, 0], cells[:, 1]].min())
@@ -50,7 +50,7 @@ def test_a_path_keeps_its_clearance_and_the_way_home_fits_the_time(
     percent = drawn((0.3, 9.0, 0.3, 7.0)).percent.copy()
     for x, width, y, height in solids:
         here = (GRID.x_m > x) & (GRID.x_m < x + width), (GRID.y_m > y) & (GRID.y_m < y + height)
-        percent[np.ix_(here[1], here[0])] = UNKNOWN
+        percent[np.ix_(here[1], here[0])] = 95
     omap, head = OccupancyMap(GRID, percent), planner()
     now = head.at(omap, np.array([1.0, 1.0]))
     leg = head.next_view(now, left_s)
@@ -66,7 +66,7 @@ def test_a_path_keeps_its_clearance_and_the_way_home_fits_the_time(
 
 
 def test_the_goal_lies_at_the_frontier_and_not_at_a_wall() -> None:
-    """A corridor from west to east: solid at its sides and its west end, unknown at its east end."""
+    """A corridor from west to east, 1.5 m wide: solid at its sides and its west end, unknown at its east end."""
     percent = np.full(GRID.shape, 95, np.int8)
     percent[5:20, 5:60], percent[5:20, 60:] = 5, UNKNOWN
     leg = planner().next_view(planner().at(OccupancyMap(GRID, percent), np.array([1.0, 1.2])), math.inf)
@@ -106,7 +106,9 @@ def test_ambiguous_cells_draw_as_unknown_ones_do() -> None:
 
 def test_views_that_teach_nothing_are_given_up_in_the_end() -> None:
     """The map never changes, as where echoes go elsewhere: every view is worth less than the one before."""
-    omap, head, place, gains = drawn((0.3, 3.5, 0.3, 3.0)), planner(), np.array([1.0, 1.0]), []
+    percent = np.full(GRID.shape, 95, np.int8)
+    percent[3:30, 3:35], percent[3:30, 35:45] = 5, UNKNOWN
+    omap, head, place, gains = OccupancyMap(GRID, percent), planner(), np.array([1.0, 1.0]), []
     for _ in range(400):
         leg = head.next_view(head.at(omap, place), math.inf)
         if leg is None:
@@ -119,8 +121,54 @@ def test_views_that_teach_nothing_are_given_up_in_the_end() -> None:
     assert gains[-1] < 0.5 * gains[0]
 
 
-def test_without_a_path_there_is_no_way_home_and_what_was_flown_through_is_one() -> None:
-    omap, head, there = drawn((0.3, 2.0, 0.3, 2.0), (4.0, 7.0, 0.3, 3.0)), planner(), np.array([5.5, 1.5])
+def rooms(door_m: float) -> OccupancyMap:
+    """A known room in the west and an unknown one in the east, with a free door of some width between them."""
+    percent = np.full(GRID.shape, 95, np.int8)
+    percent[5:65, 5:40], percent[5:65, 43:85] = 5, UNKNOWN
+    half = round(door_m / STEP_M / 2)
+    percent[35 - half : 35 + half, 40:46] = 5
+    return OccupancyMap(GRID, percent)
+
+
+def test_a_view_lies_behind_a_door_that_fits() -> None:
+    head, omap = planner(), rooms(1.0)
+    now = head.at(omap, np.array([2.0, 2.0]))
+    leg = head.next_view(now, math.inf)
+    assert leg is not None
+    assert leg.goal[0] > 4.0
+    assert room_along(omap, leg) >= CLEARANCE_M
+    assert head.cut_off_m2(now) == 0.0
+
+
+def test_no_path_leads_through_a_door_that_does_not_fit() -> None:
+    percent = rooms(0.6).percent.copy()
+    percent[5:65, 50:85] = 5
+    head, omap = planner(), OccupancyMap(GRID, percent)
+    now = head.at(omap, np.array([2.0, 2.0]))
+    leg = head.next_view(now, math.inf)
+    assert leg is None or leg.goal[0] < 4.0
+    assert not np.isfinite(now.away_m[0][now.cells[:, 1] > 43]).any()
+    assert head.cut_off_m2(now) == pytest.approx(6.0 * 3.5, rel=0.05)
+
+
+def test_a_path_through_known_space_is_preferred_to_a_shorter_one_through_unknown_space() -> None:
+    """A wall with two doors: the space behind the near one is unknown."""
+    percent = np.full(GRID.shape, 5, np.int8)
+    percent[:, 45:55] = 95
+    percent[15:30, 45:55], percent[50:65, 45:55] = UNKNOWN, 5
+    head, east = planner((8.0, 3.5)), np.array([2.0, 3.5])
+    for known in (UNKNOWN, 5):
+        percent[15:30, 45:55] = known
+        leg = head.home(head.at(OccupancyMap(GRID, percent), east))
+        assert leg is not None
+        at_wall = leg.path[np.abs(leg.path[:, 0] - 5.0).argmin(), 1]
+        assert (at_wall > 4.0) == (known == UNKNOWN)
+
+
+def test_mapped_surfaces_bar_the_way_home_and_what_was_flown_through_is_one() -> None:
+    percent = drawn((0.3, 9.0, 0.3, 7.0)).percent.copy()
+    percent[:, 30:35] = 95
+    omap, head, there = OccupancyMap(GRID, percent), planner(), np.array([5.5, 1.5])
     assert head.home(head.at(omap, there)) is None
     for x in np.arange(1.0, 5.5, 0.05):
         head.flew(np.array([x, 1.0 + 0.5 * (x - 1.0) / 4.5, 1.0]))
@@ -129,19 +177,23 @@ def test_without_a_path_there_is_no_way_home_and_what_was_flown_through_is_one()
     assert leg.goal == pytest.approx([1.0, 1.0], abs=STEP_M)
 
 
-def test_a_barred_place_closes_a_passage_but_not_where_the_vehicle_flew() -> None:
-    omap, head, here = drawn((0.3, 9.0, 0.3, 2.0)), planner(), np.array([1.0, 1.0])
-    free = head.at(omap, here)
-    assert head.is_open(free, np.array([[1.0, 1.0], [8.0, 1.0]]))
-    head.bar(np.array([4.0, 1.0]), 1.0)
-    assert not head.is_open(head.at(omap, here), np.array([[1.0, 1.0], [8.0, 1.0]]))
-    for x in np.arange(1.0, 8.0, 0.05):
-        head.flew(np.array([x, 1.0, 1.0]))
-    assert head.is_open(head.at(omap, here), np.array([[1.0, 1.0], [7.9, 1.0]]))
+def test_a_path_goes_round_a_place_where_the_guard_stopped() -> None:
+    omap, head, here = drawn((0.3, 9.0, 0.3, 7.0)), planner((8.0, 3.5)), np.array([1.0, 3.5])
+    direct = head.home(head.at(omap, here))
+    head.stopped(np.array([4.5, 3.5]), 0.4)
+    around = head.home(head.at(omap, here))
+    assert direct is not None
+    assert around is not None
+    assert np.abs(direct.path[:, 1] - 3.5).max() < 0.2
+    assert np.abs(around.path[:, 1] - 3.5).max() > 0.4
+    head.stopped(np.array([4.5, 3.5]), 9.0)  # everywhere: it costs more, and is not closed
+    again = head.home(head.at(omap, here))
+    assert again is not None
+    assert again.travel_s > 2 * direct.travel_s
 
 
-def test_an_empty_map_is_narrow() -> None:
-    now = planner().at(OccupancyMap(GRID, np.full(GRID.shape, UNKNOWN, np.int8)), np.array([1.0, 1.0]))
+def test_a_place_among_surfaces_is_narrow() -> None:
+    now = planner().at(OccupancyMap(GRID, np.full(GRID.shape, 95, np.int8)), np.array([1.0, 1.0]))
     assert now.narrow
     assert planner().next_view(now, math.inf) is None
 

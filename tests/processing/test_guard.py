@@ -272,3 +272,32 @@ def test_a_guard_wants_a_vehicle_that_brakes_and_a_steady_hand() -> None:
         make_scenario({"name": "x"}, options=["flight.guard.on=true", "flight.vehicle=ideal"])
     with pytest.raises(InputError, match="no wander"):
         make_scenario({"name": "x"}, options=["flight.guard.on=true", "flight.wander_m=0.1"])
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    echoes=st.lists(st.tuples(st.sampled_from(NAMES), st.floats(0.5, 3.0), st.floats(-0.4, 0.4)), max_size=4),
+    course=st.floats(-math.pi, math.pi), speed=st.floats(0.1, 0.8),
+)  # fmt: skip
+def test_a_velocity_turned_aside_gets_on_no_slower_and_is_limited_by_the_same_law(
+    echoes: list[Echo], course: float, speed: float
+) -> None:
+    want = speed * np.array([math.cos(course), math.sin(course), 0.0])
+    guard = Guard(GuardSpec(release_m=0.0, recovery_m_s2=10.0, back_off_m_s=0.0), hull_m=HULL_M)
+    turned = guard.around(want, sectors(0, *echoes), odometry())
+    assert np.linalg.norm(turned) == pytest.approx(speed)
+    got = []
+    for velocity in (want, turned):
+        fresh = Guard(GuardSpec(release_m=0.0, recovery_m_s2=10.0, back_off_m_s=0.0), hull_m=HULL_M)
+        fresh.limit(velocity, sectors(-1, *echoes), odometry())
+        got.append(fresh.limit(velocity, sectors(60, *echoes), odometry()).velocity @ want / speed)
+    assert got[1] >= got[0] - 1e-9
+    if got[0] >= speed - 1e-9:
+        assert np.allclose(turned, want)
+
+
+def test_a_velocity_along_a_wall_on_the_left_is_turned_away_from_it() -> None:
+    guard = Guard(GuardSpec(), hull_m=HULL_M)
+    turned = guard.around((0.4, 0.3, 0.0), sectors(0, ("left", 0.72, 0.0)), odometry())
+    assert turned[0] > 0.3
+    assert turned[1] < 0

@@ -58,6 +58,7 @@ class Exploration:
     ) -> None:
         plan = loop.scenario.flight
         self.loop, self.start, self.report_progress = loop, start, report_progress
+        loop.yields = True
         hull_m = airframe(plan.vehicle).radius_m if loop.vehicle is None else loop.vehicle.hull_m
         clearance_m = hull_m + plan.guard.margin_m
         self.pilot = Explorer(start, time_s=time_s, speed_m_s=plan.speed_m_s, clearance_m=clearance_m,
@@ -80,7 +81,7 @@ class Exploration:
                 count += 1
                 if not now.lost:  # else they would spoil the map
                     held.append(now.frames)
-                self.pilot.update(now.believed, now.step.sectors, lost=now.lost)
+                self.pilot.update(now.believed, lost=now.lost)
                 if count % most == 0:
                     yield gathered(held)
                     held = []

@@ -242,6 +242,8 @@ class Loop:
         receive: what reaches the stage of the frames, to try faults of sensors; None: all.
         stage: gives the obstacle distances.
         guarded: False: the guard watches but limits nothing, for comparison.
+        yields: where the guard limits the wanted velocity, one turned aside is wanted if it gets on faster, and a
+            stopped vehicle does not wait for more room.
         poses: gives the believed poses; None: the scenario's navigation or odometry.
         vehicle: that flies; None: the scenario's, simulated.
         radars: on it; None: simulated at its poses.
@@ -254,6 +256,7 @@ class Loop:
     receive: Receive | None = None
     stage: ObstacleStage | None = None
     guarded: bool = True
+    yields: bool = False
     poses: Believe | None = None
     vehicle: Vehicle | None = None
     radars: Radars | None = None
@@ -326,7 +329,8 @@ class Loop:
         guard_spec, rate_hz, row = self.scenario.flight.guard, self.rate_hz, 0
         radars = self.radars or SimulatedRadars(self.scene, self.rig, self.scenario.sensing, self.scenario.seed)
         stage = self.stage or ObstacleStage(radars.sensors, stale_s=guard_spec.stale_s)
-        guard, before = Guard(guard_spec, hull_m=vehicle.hull_m), list[Trajectory]()
+        spec = guard_spec.but(release_m=0.0) if self.yields else guard_spec
+        guard, before = Guard(spec, hull_m=vehicle.hull_m), list[Trajectory]()
         with closing(radars):
             while row < round(longest_s * rate_hz):
                 if (truth := vehicle.fly_to(round(row * 1e9 / rate_hz))) is None:
@@ -340,6 +344,8 @@ class Loop:
                 before = [believed]
                 sectors = self._sectors(stage, chunk, int(truth.t_ns[0]))
                 wanted = pilot.velocity(believed.position[0])
+                if self.yields and not pilot.landing:
+                    wanted = guard.around(wanted, sectors, believed)
                 limit = guard.limit(wanted, sectors, believed)
                 allowed = limit.velocity if self.guarded and not pilot.landing else wanted
                 vehicle.ask(_wish(allowed, pilot.heading_rad, believed))

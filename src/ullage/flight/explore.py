@@ -1,10 +1,13 @@
-"""Choose the next view on the map of a plane: the one that could teach most for its time, by space known to be free.
+"""Choose the next view on the map of a plane: the one that could teach most for its time.
 
 Frontiers of free space draw the vehicle [Yamauchi1997]. A view is worth the unknown and ambiguous cells that its rays
 would enter, and a path what its views teach, discounted by when they do, as in next-best-view planners
 [BircherEtAl2016] [DangEtAl2020]. Radars see a smooth surface only along its normal, so a cell that a view did not teach
 may need another direction. Each view therefore counts in its direction alone, and what n of them left unknown is
 learned by the next one with a chance of 1 / (1 + n), by the rule of succession.
+
+Beams free little space between walls. Paths may therefore cross unknown cells, as if they were free, until the map or
+the guard shows otherwise [KoenigEtAl2003]. Unknown space costs more time than space known to be free.
 """
 
 from __future__ import annotations
@@ -16,13 +19,14 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import distance_transform_edt, uniform_filter
 from scipy.sparse.csgraph import dijkstra
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.errors import InputError
 from ullage.flight.live import LAG_S
 from ullage.flight.random_flights import lattice_graph
-from ullage.flight.tour import clear, straightened
+from ullage.flight.tour import between, straightened
 from ullage.grids import Grid, OccupancyMap
 
 RAYS, SECTORS = 72, 12
@@ -36,12 +40,14 @@ STRIDE_M = 0.4  # between places that are compared
 LEAST_GAIN_M2 = 0.25  # a view that teaches less is not worth a flight
 APERTURE_M = 0.5  # of track that a view needs at least
 RESERVE_S = 4.0  # left at home, as the guard may slow the way there
-SURELY_FREE = 0.95  # chance that a cell is free, from which paths may cross it; the guard looks ahead besides
-TIGHT = 2.0  # cost of a cell that was flown through with less than the asked clearance: the guard slows flights there
+SURELY_FREE = 0.95  # chance that a cell is free, from which a flight there takes no longer than its path
+SLOW_COST = 1.0  # more time that a path through unknown space takes, as it may lead nowhere, or along a wall
+SLOW_M = 0.3  # beyond the clearance, where the guard limits a flight towards a wall
+STOPPED_COST = 3.0  # more time that a path takes for each stop by the guard there
 HORIZON_S = 10.0  # what is learned so much later counts 1 / e
 KEEP = 1.5  # a goal is kept until another one is better by as much
 
-Kind = Literal["view", "probe", "turn", "aside", "home"]
+Kind = Literal["view", "home"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,12 +74,16 @@ class Situation:
     omap: OccupancyMap
     place: Floats  # (2) of the vehicle [m]
     open: Bools  # (ny, nx) cells that a path may cross
-    wide: Bools  # (ny, nx) those with the asked clearance, not only flown through
-    cells: Longs  # (n, 2) those cells
-    away_m: Floats  # (2, n) shortest way to each from the vehicle and from home, inf where there is none [m]
+    cost: Floats  # (ny, nx) expected time of a flight through each cell, over that through free space
+    cells: Longs  # (n, 2) the open cells
+    away_m: Floats  # (2, n) shortest way to each from the vehicle and from home, times its cost, inf: there is none [m]
     before: Ints  # (2, n) cell before each on those ways, below zero where there is none
     here: int  # cell of the vehicle
-    narrow: bool  # it can go nowhere with the asked clearance
+
+    @property
+    def narrow(self) -> bool:
+        """Whether the vehicle can go nowhere."""
+        return not bool((np.isfinite(self.away_m[0]) & (self.away_m[0] >= APERTURE_M)).any())
 
 
 class ViewPlanner:
@@ -82,7 +92,7 @@ class ViewPlanner:
     Args:
         grid: a plane.
         home: x, y [m].
-        clearance_m: least distance from the vehicle's centre to all that is not known to be free [m].
+        clearance_m: least distance from the vehicle's centre to mapped surfaces [m].
         speed_m_s: of the flight [m/s].
 
     Raises:
@@ -95,7 +105,7 @@ class ViewPlanner:
                 raise InputError(f"{name} is {value}", where="ViewPlanner", allowed="> 0")
         self.grid, self.clearance_m, self.speed_m_s = grid, clearance_m, speed_m_s
         self._flown = np.zeros(grid.shape, bool)
-        self._barred = np.zeros(grid.shape, bool)
+        self._stops = np.zeros(grid.shape)  # of the guard about each cell
         self._views = np.zeros((SECTORS, grid.size), np.float32)  # in each direction, weighted by what they could teach
         self._home = self._cell(home)
         self._rays = _Rays.of(grid.step_m)
@@ -112,10 +122,10 @@ class ViewPlanner:
         """Note that the vehicle was here: this cell is free, and a way back."""
         self._flown[self._cell(place)] = True
 
-    def bar(self, place: Floats, radius_m: float) -> None:
-        """Plan no more through places about one where the guard stopped, but for those flown through."""
+    def stopped(self, place: Floats, radius_m: float) -> None:
+        """Note that the guard stopped the vehicle before a place: paths about it cost more."""
         x, y = np.meshgrid(self.grid.x_m - place[0], self.grid.y_m - place[1])
-        self._barred |= np.hypot(x, y) <= radius_m
+        self._stops += np.hypot(x, y) <= radius_m
 
     def saw(self, omap: OccupancyMap, place: Floats) -> None:
         """Count a view from here: what it leaves unknown is less likely to be learned from that direction again."""
@@ -123,23 +133,30 @@ class ViewPlanner:
         np.add.at(self._views, (np.broadcast_to(self._rays.sector[:, None], cells[0].shape), cells[0]), worth[0])
 
     def at(self, omap: OccupancyMap, place: Floats) -> Situation:
-        """Return what the vehicle can reach from here by this map: space free with the asked clearance, or flown."""
-        held = OccupancyMap(omap.grid, np.where(self._flown, np.int8(0), omap.percent))
-        wide = (held.clearance(chance=SURELY_FREE).distance_m >= self.clearance_m) & ~self._barred
-        open_ = wide | self._flown
+        """Return what the vehicle can reach from here by this map.
+
+        A cell is open where no mapped surface is nearer than the asked clearance, less a cell by which the map may err,
+        or where the vehicle flew. It costs no extra time where all within the clearance is known to be free.
+        """
+        grid = omap.grid
+        held = OccupancyMap(grid, np.where(self._flown, np.int8(0), omap.percent))
+        solid = OccupancyMap(grid, np.where(held.occupied, np.int8(100), np.int8(0)))
+        spare_m = solid.clearance().distance_m - (self.clearance_m - grid.step_m)
+        open_ = (spare_m >= 0) | self._flown
         here = self._cell(place)
         open_[here] = True
+        free = (held.percent >= 0) & (held.percent <= 100 * (1 - SURELY_FREE))
+        known = uniform_filter(free.astype(float), 2 * round(self.clearance_m / grid.step_m) + 1, mode="constant")
+        slow = np.maximum(1.0 - known, np.clip(1.0 - spare_m / SLOW_M, 0.0, 1.0))
+        cost = 1.0 + SLOW_COST * slow + STOPPED_COST * self._stops
         number = np.full(open_.shape, -1)
         number[open_] = np.arange(int(open_.sum()))
         ends = [int(number[here]), int(number[self._home])]
-        graph = lattice_graph(open_).tocoo()
-        tight = ~wide[open_]
-        graph.data *= np.where(tight[graph.row] | tight[graph.col], TIGHT, 1.0)
+        graph, each = lattice_graph(open_).tocoo(), cost[open_]
+        graph.data *= (each[graph.row] + each[graph.col]) / 2
         away, before = dijkstra(graph.tocsr(), directed=False, indices=ends, return_predecessors=True)
-        far = np.isfinite(away[0]) & (away[0] * self.grid.step_m >= APERTURE_M)
-        narrow = not bool((far & wide[open_]).any())
         at = np.asarray(place, float)[:2]
-        return Situation(omap, at, open_, wide, np.argwhere(open_), away * self.grid.step_m, before, ends[0], narrow)
+        return Situation(omap, at, open_, cost, np.argwhere(open_), away * grid.step_m, before, ends[0])
 
     def time_s(self, length_m: ArrayLike, turns: float = 0.0) -> Floats:
         """Time that flights from rest take [s].
@@ -154,34 +171,41 @@ class ViewPlanner:
         """
         return np.asarray(np.asarray(length_m, float) / self.speed_m_s + LAG_S * (1.0 + turns))
 
-    def path_s(self, path: Floats) -> float:
-        """Time that a flight from rest along a path (n, 2) takes [s]."""
+    def path_s(self, path: Floats, now: Situation | None = None) -> float:
+        """Time that a flight from rest along a path (n, 2) takes, in free space or in a situation [s]."""
         steps = np.diff(path, axis=0)
         length_m = np.linalg.norm(steps, axis=1)
         unit = steps[length_m > 0] / length_m[length_m > 0, None]
-        return float(self.time_s(length_m.sum(), float((1.0 - (unit[1:] * unit[:-1]).sum(1)).sum())))
+        whole_m = length_m.sum() if now is None else self._fine(now, path)[1][-1]
+        return float(self.time_s(whole_m, float((1.0 - (unit[1:] * unit[:-1]).sum(1)).sum())))
+
+    def _fine(self, now: Situation, path: Floats) -> tuple[Floats, Floats]:
+        """Places (k, 2) along a path, a cell apart, and the length to each times its cost (k) [m]."""
+        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+        at = np.linspace(0.0, s[-1], round(s[-1] / self.grid.step_m) + 2)
+        places = np.stack([np.interp(at, s, path[:, k]) for k in range(2)], 1)
+        cells, _ = self.grid.index(places)
+        cost = now.cost[tuple(cells.T)]
+        return places, np.concatenate([[0.0], np.cumsum(np.diff(at) * (cost[1:] + cost[:-1]) / 2)])
 
     def is_open(self, now: Situation, path: Floats) -> bool:
         """Whether a path (n, 2) crosses open cells only [m]."""
         cells, _ = self.grid.index(path)
-        return all(clear(a, b, now.open) for a, b in pairwise(cells))
+        return all(now.open[between(a, b)].all() for a, b in pairwise(cells))
 
-    def free_m(self, now: Situation, way_rad: Floats, most_m: float) -> tuple[Floats, Bools]:
-        """Return how far space is known to be free in some directions, up to a limit [m], and if it is solid then."""
-        omap, range_m = now.omap, self.grid.step_m * np.arange(1, round(most_m / self.grid.step_m) + 1)
-        unit = np.stack([np.cos(way_rad), np.sin(way_rad)], 1)
-        points = now.place + range_m[None, :, None] * unit[:, None]
-        cells, inside = self.grid.index(points.reshape(-1, 2))
-        row, column = np.where(inside[:, None], cells, 0).T
-        free, solid = ((cells[row, column] & inside).reshape(len(way_rad), -1) for cells in (omap.free, omap.occupied))
-        return np.asarray(self.grid.step_m * np.cumprod(free, axis=1).sum(1)), np.asarray(solid.any(1))
+    def cut_off_m2(self, now: Situation) -> float:
+        """Return the area known to be free that no path comes near, as mapped surfaces leave too little room [m2]."""
+        near = np.ones(self.grid.shape, bool)
+        near[tuple(now.cells[np.isfinite(now.away_m[0])].T)] = False
+        far = distance_transform_edt(near) * self.grid.step_m > self.clearance_m + self.grid.step_m
+        return self.grid.step_m**2 * int((far & now.omap.free).sum())
 
     def home(self, now: Situation) -> Leg | None:
         """Return the way home, or None if it is barred."""
         if not math.isfinite(now.away_m[1, now.here]):
             return None
         path = self._path_home(now, now.here)
-        return Leg("home", path, "home", travel_s=self.path_s(path))
+        return Leg("home", path, "home", travel_s=self.path_s(path, now))
 
     def next_view(self, now: Situation, left_s: float, *, kept: Leg | None = None) -> Leg | None:
         """Return the best view whose path there and then home fits the time left; None: none is worth it.
@@ -195,7 +219,8 @@ class ViewPlanner:
         wanted = (now.cells % stride == 0).all(1)
         same = np.zeros(len(wanted), bool) if kept is None else (now.cells == self._cell(kept.goal)).all(1)
         travel_s, home_s = self.time_s(now.away_m)  # along the lattice, and so but a first estimate
-        wanted &= (now.away_m[0] >= APERTURE_M) & now.wide[now.open]  # what was flown through is a way, not a goal
+        far = np.linalg.norm(now.cells - now.cells[now.here], axis=1) * self.grid.step_m >= APERTURE_M
+        wanted &= far & np.isfinite(now.away_m).all(0) & ~self._flown[now.open]
         rows = np.flatnonzero((wanted | same) & (travel_s + home_s + RESERVE_S <= left_s))
         if not len(rows):
             return None
@@ -205,9 +230,9 @@ class ViewPlanner:
         if same.any() and np.isfinite(travel_s[same][0]):
             rows = np.union1d(rows, np.flatnonzero(same))
         paths = [self._path(now, int(row)) for row in rows]
-        there_s = np.array([self.path_s(path) for path in paths])
-        back_s = np.array([self.path_s(self._path_home(now, int(row))) for row in rows])
-        gain, worth = np.array([self._along(classes, path) for path in paths]).T
+        there_s = np.array([self.path_s(path, now) for path in paths])
+        back_s = np.array([self.path_s(self._path_home(now, int(row)), now) for row in rows])
+        gain, worth = np.array([self._along(now, classes, path) for path in paths]).T
         useful = (gain >= LEAST_GAIN_M2) & (there_s + back_s + RESERVE_S <= left_s)
         worth = np.where(useful, worth, 0.0) * np.where(same[rows], KEEP, 1.0)
         best = int(np.argmax(worth))
@@ -224,14 +249,15 @@ class ViewPlanner:
             gain[part] = (self._new(seen, worth) * self._rays.area_m2).sum((1, 2))
         return gain
 
-    def _along(self, classes: Ints, path: Floats) -> tuple[float, float]:
+    def _along(self, now: Situation, classes: Ints, path: Floats) -> tuple[float, float]:
         """Area that the views along a path could teach together, and the same discounted by when it is taught [m2]."""
-        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-        at = np.linspace(0, s[-1], max(round(s[-1] / VIEWS_M), 1) + 1)[1:]
-        cells, _ = self.grid.index(np.stack([np.interp(at, s, path[:, k]) for k in range(2)], 1))
+        places, cost_m = self._fine(now, path)
+        views = max(round(len(places) * self.grid.step_m / VIEWS_M), 1)
+        rows = np.linspace(0, len(places) - 1, views + 1)[1:].astype(int)
+        cells, _ = self.grid.index(places[rows])
         seen, worth = self._rays.cast(classes, cells)
         new, total = self._new(seen, worth), []
-        soon = np.exp(-self.time_s(at) / HORIZON_S)[:, None, None]
+        soon = np.exp(-self.time_s(cost_m[rows]) / HORIZON_S)[:, None, None]
         for share in (new, new * soon):
             chance = np.zeros(self.grid.size)
             np.maximum.at(chance, seen.ravel(), share.ravel())
@@ -249,12 +275,19 @@ class ViewPlanner:
         return self._back(now, 1, node)
 
     def _back(self, now: Situation, end: int, node: int) -> Floats:
-        """Straight segments (n, 2) from a cell to an end of the shortest ways [m]."""
+        """Straight segments (n, 2) from a cell to an end of the shortest ways, which cost no more than those [m]."""
         nodes = [node]
         while now.before[end, nodes[-1]] >= 0:
             nodes.append(int(now.before[end, nodes[-1]]))
-        cells = now.cells[nodes]
-        cells = cells[straightened(cells, now.wide)]
+        cells, left_m = now.cells[nodes], now.away_m[end, nodes]
+
+        def joined(i: int, j: int) -> bool:
+            on = between(cells[i], cells[j])
+            straight_m = self.grid.step_m * float(np.linalg.norm(cells[j] - cells[i]))
+            dear = now.cost[on].mean() * straight_m
+            return bool(now.open[on].all() and dear <= left_m[i] - left_m[j] + 1e-6)
+
+        cells = cells[straightened(len(cells), joined)]
         return np.column_stack([self.grid.x_m[cells[:, 1]], self.grid.y_m[cells[:, 0]]])
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -253,12 +253,17 @@ def _route(space: Space, length_m: float | None) -> Floats:
     if length_m is None:
         length_m = float(np.clip(LENGTH_SHARE * LATTICE_M * math.sqrt(space.cells.sum()), *LENGTH_M))
     cells, graph = np.argwhere(space.cells), lattice_graph(space.cells)
+
+    def straight(nodes: Longs) -> list[int]:
+        on = cells[nodes]
+        return straightened(len(on), lambda i, j: bool(space.cells[between(on[i], on[j])].all()))
+
     points = space.level.points(cells)
     legs = visit_far_places(graph, points, np.random.default_rng(0), length_m=length_m)
     kept = [legs[0]]
     for leg in legs[1:]:
         whole = np.concatenate([kept[-1][-1:], leg])
-        kept.append(whole[straightened(cells[whole], space.cells)[1:]])
+        kept.append(whole[straight(whole)[1:]])
     return _cut(points[np.concatenate(kept)], length_m)
 
 
@@ -270,20 +275,18 @@ def _cut(points: Floats, length_m: float) -> Floats:
     return np.concatenate([points[along < end - 1e-6], last[None]])
 
 
-def straightened(cells: Longs, free: Bools) -> list[int]:
-    """Return indices of the cells (n, 2) of a path to keep, so that each segment between them crosses free cells."""
+def straightened(count: int, joined: Callable[[int, int], bool]) -> list[int]:
+    """Return indices of the cells of a path to keep, whose next one is the farthest that is joined by a segment."""
     kept = [0]
-    while kept[-1] < len(cells) - 1:
-        here = kept[-1]
-        reach = here + 1
-        while reach + 1 < len(cells) and clear(cells[here], cells[reach + 1], free):
+    while kept[-1] < count - 1:
+        reach = kept[-1] + 1
+        while reach + 1 < count and joined(kept[-1], reach + 1):
             reach += 1
         kept.append(reach)
     return kept
 
 
-def clear(a: Longs, b: Longs, free: Bools) -> bool:
-    """Return whether the straight line between two cells crosses free cells only."""
-    n = 2 * int(np.abs(b - a).max()) + 1
-    on = np.rint(np.linspace(a, b, n)).astype(int)
-    return bool(free[on[:, 0], on[:, 1]].all())
+def between(a: Longs, b: Longs) -> tuple[Longs, Longs]:
+    """Return rows and columns of the cells that the straight line between two cells crosses."""
+    on = np.rint(np.linspace(a, b, 2 * int(np.abs(b - a).max()) + 1)).astype(int)
+    return on[:, 0], on[:, 1]

@@ -29,6 +29,7 @@ State = Literal["free", "limited", "stop", "back_off"]
 _LEAST_SPEED_M_S = 0.1  # below it, a closing speed gives no bearing
 _STOPPED_M_S = 0.03
 _HALF_CELL_RAD = math.radians(2.5)
+_TURNS_RAD = tuple(math.radians(side * turn) for turn in range(0, 90, 15) for side in (1, -1))  # straight on wins a tie
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +83,26 @@ class Guard:
         limit = self._limit(want, own, sectors, table, world_from_level)
         self._commands.append((sectors.t_ns, limit.velocity))
         return limit
+
+    def around(self, wanted: ArrayLike, sectors: ObstacleSectors, odometry: Trajectory) -> Floats:
+        """Return a wanted velocity (3), or where its limit is below it the level turn of it that gets on best [m/s].
+
+        Progress is the part along the wanted velocity of the safe part of each [FoxEtAl1997].
+
+        Args:
+            wanted: velocity (3) in the world [m/s].
+            sectors: obstacles, at this time.
+            odometry: believed pose and velocity of the body; the last one counts.
+        """
+        want = np.asarray(wanted, float)
+        world_from_level, own = _level(odometry)
+        table = self._table(own, sectors, world_from_level)
+
+        def progress(turn_rad: float) -> float:
+            turned = world_from_level.T @ _turn(turn_rad) @ want
+            return math.cos(turn_rad) * self._share(turned, own, sectors, table)[0]
+
+        return want if progress(0.0) >= 1 else np.asarray(_turn(max(_TURNS_RAD, key=progress)) @ want)
 
     def judge(self, sectors: ObstacleSectors, odometry: Trajectory) -> Limit:
         """Judge the present velocity of a vehicle that another commands: free, or stop where it must brake now.
@@ -192,6 +213,11 @@ class _Table:
     def nearer_by(self, length_m: float) -> _Table:
         """Return the state with less space."""
         return replace(self, approach=replace(self.approach, free_m=self.approach.free_m - length_m))
+
+
+def _turn(angle_rad: float) -> Floats:
+    """Return the rotation (3, 3) about the vertical."""
+    return transform(rpy_rad=(0.0, 0.0, angle_rad))[:3, :3]
 
 
 def _level(odometry: Trajectory) -> tuple[Floats, Floats]:

@@ -22,7 +22,7 @@ BOUNCE_COLORS = ("#1f6feb", "#d97706", "#2a9d5c")
 """Of echoes by one, two and three bounces."""
 LAGS = 6
 """Of the correlation of noise over bins."""
-MARKS = {"view": ("o", "goal"), "probe": ("^", "careful first look"), "home": ("s", "home")}
+MARKS = {"view": ("o", "goal"), "home": ("s", "home")}
 """Mark and name of each kind of goal."""
 
 

@@ -113,7 +113,7 @@ def test_poses_that_turn_against_the_frame_of_set_points_are_refused() -> None:
 @pytest.mark.parametrize("px4", [False, True])
 def test_a_copter_explores_by_set_points_comes_home_and_stops_its_motors(px4: bool) -> None:
     with Copter((0.0, -1.0, 0.0), px4=px4, boot_ns=10**12) as copter:
-        explored = explore(copter, 20.0)
+        explored = explore(copter, 30.0)
         places = np.array([place for _, place in copter.track])
         assert explored.summary.startswith("The flight ended on the ground at home: ")
         assert not copter.armed
