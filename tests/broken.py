@@ -44,7 +44,7 @@ def read_recording(path: Path) -> None:
 
 
 def read_motive(path: Path) -> object:
-    from ullage.ports.motive import read_tracks
+    from ullage.ports.tracks import read_tracks
 
     return read_tracks(path)
 

@@ -362,7 +362,7 @@ def _read_address(path: Path) -> None:
 
 
 def _read_motive(path: Path) -> None:
-    from ullage.ports.motive import read_tracks
+    from ullage.ports.tracks import read_tracks
 
     read_tracks(path)
 

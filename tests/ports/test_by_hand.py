@@ -18,9 +18,17 @@ from ullage.flight.imu import MPU6000, white_noise
 from ullage.flight.live import Steered
 from ullage.flight.pilot import Pilot, PilotOptions, Velocity
 from ullage.ports import schema as ros
-from ullage.ports.by_hand import IMU_TOPIC, SONAR_TOPIC, FlyOptions, HandFlight, HandFlownSource, Sonar
+from ullage.ports.by_hand import (
+    IMU_TOPIC,
+    SONAR_TOPIC,
+    FlyOptions,
+    HandFlight,
+    HandFlownSource,
+    Keyboard,
+    Sonar,
+    keys_in,
+)
 from ullage.ports.intake import Counters
-from ullage.ports.keyboard import Keyboard, keys_in
 from ullage.ports.protocol import Passed
 
 

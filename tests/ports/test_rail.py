@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ullage as ul
-from ullage.ports.motive import read_tracks
 from ullage.ports.pulson import CONFIG, PACKET, read_log
+from ullage.ports.tracks import read_tracks
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "pulson440"
 needs_data = pytest.mark.skipif(not DATA.exists(), reason="the real recordings are not here")

@@ -14,7 +14,7 @@ import ullage as ul
 from conftest import some_frames
 from ullage.ports import schema as ros
 from ullage.ports.protocol import Passed
-from ullage.ports.rate_limiter import LATE_S
+from ullage.ports.publisher import LATE_S
 from ullage.ports.ros2.options import SinkOptions
 from ullage.ports.ros2.sink import AHEAD_S, Ros2Sink
 

@@ -177,7 +177,7 @@ def rail_a() -> tuple[ul.Frames, np.ndarray]:
 
 
 def flight_a() -> tuple[ul.Frames, np.ndarray]:
-    from ullage.ports.motive import read_tracks
+    from ullage.ports.tracks import read_tracks
 
     track = read_tracks(DATA / "flight_a/mocap.csv")["Radar"]
     known = np.load(DATA / "flight_a/radar.npz")

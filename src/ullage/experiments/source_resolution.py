@@ -480,7 +480,7 @@ def make_exploration(
 
 def _controls(by: str, scenario: Scenario, log: Callable[[str], None]) -> Controls:
     """Source of commands."""
-    from ullage.ports.keyboard import HELP, Keyboard
+    from ullage.ports.by_hand import HELP, Keyboard
 
     if by == "keys":
         keyboard = Keyboard(speed_m_s=scenario.flight.speed_m_s)

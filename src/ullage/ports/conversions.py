@@ -19,7 +19,7 @@ from ullage.geometry import quat_matrix, quat_rpy
 from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
 from ullage.ports import schema as ros
 from ullage.ports.intake import warn
-from ullage.ports.turned import along_axes
+from ullage.ports.maps import along_axes
 from ullage.specs import RadarSpec
 
 if TYPE_CHECKING:

@@ -51,7 +51,7 @@ LIVE = {
         "gazebo.transport_source.open_source", "gazebo.sink.open_transport_sink", "gazebo.drone.GazeboDrone"
     ),
     "gazebo-classic": Port("gazebo.classic_source.open_source", "gazebo.sink.open_classic_sink"),
-    "imc": Port("imc.source.ImcSource", "imc.sink.ImcSink", "imc.drone.ImcDrone", poses="imc.poses.PoseFeed"),
+    "imc": Port("imc.source.ImcSource", "imc.sink.ImcSink", "imc.drone.ImcDrone", poses="imc.source.PoseFeed"),
     "mavlink": Port(
         "mavlink.source.open_source",
         "mavlink.sink.MavlinkSink",

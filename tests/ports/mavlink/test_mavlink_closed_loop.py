@@ -19,7 +19,7 @@ from mavlink_brakes import UNKNOWN, ArduPilotBrake, Brake, Px4Brake
 from pymavlink.dialects.v20 import common as mav
 
 import ullage as ul
-from ullage.ports.mavlink.encode import obstacle_distance
+from ullage.ports.mavlink.sink import obstacle_distance
 from ullage.processing.obstacles import ObstacleStage
 from ullage.radar.live import LiveRadars
 

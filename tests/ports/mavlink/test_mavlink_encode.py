@@ -14,7 +14,7 @@ pytest.importorskip("pymavlink")
 from pymavlink.dialects.v20 import common as mav
 
 from ullage.geometry import quat_matrix, rpy_quat
-from ullage.ports.mavlink.encode import CUSTOM, distance_sensors, obstacle_distance, orientation_of, sector_distances
+from ullage.ports.mavlink.sink import CUSTOM, distance_sensors, obstacle_distance, orientation_of, sector_distances
 from ullage.processing.bearings import CELLS
 from ullage.processing.obstacles import ObstacleSectors, ObstacleTracks
 

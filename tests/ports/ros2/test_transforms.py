@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ullage.geometry import rpy_quat, transform
-from ullage.ports.ros2.transforms import Transforms
+from ullage.ports.ros2.incoming import Transforms
 
 S = 1_000_000_000
 

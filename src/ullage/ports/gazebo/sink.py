@@ -15,7 +15,7 @@ from ullage.ports.gazebo.topics import CLASSIC, RadarTopics
 from ullage.ports.gazebo.transport import TransportPeer
 from ullage.ports.live import options_of
 from ullage.ports.protocol import Item
-from ullage.ports.rate_limiter import RateLimiter
+from ullage.ports.publisher import RateLimiter
 from ullage.specs import Spec
 
 

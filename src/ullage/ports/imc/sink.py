@@ -13,7 +13,7 @@ from ullage.ports.imc.relay import Outgoing, RosToImc
 from ullage.ports.imc.wires import Entity, Identity
 from ullage.ports.intake import Log, warn
 from ullage.ports.protocol import Item, Passed
-from ullage.ports.rate_limiter import RateLimiter
+from ullage.ports.publisher import RateLimiter
 
 FIRST_RELAYED, LAST_RELAYED = 100, 254
 """Entity numbers of relayed systems; radars have numbers from 10."""

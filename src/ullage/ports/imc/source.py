@@ -1,8 +1,12 @@
-"""A vehicle on the bus as a source of frames: radars simulated along its path, or radars that it carries."""
+"""A vehicle on the bus as a source of frames: radars simulated along its path, or radars that it carries.
+
+Its poses alone place the frames of radars that another port gives.
+"""
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -17,7 +21,7 @@ from ullage.ports.geodetic import TRONDHEIM
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet
 from ullage.ports.imc.link import Link, Role, leave, open_link
-from ullage.ports.imc.options import SourceOptions
+from ullage.ports.imc.options import PoseOptions, SourceOptions
 from ullage.ports.imc.relay import passed
 from ullage.ports.imc.wires import Entity, Identity
 from ullage.ports.intake import PATIENCE_S, PIECE_S, Covered, Inbox, Log, Once, warn
@@ -219,3 +223,44 @@ class ImcSource(LiveSource):
         leave(self._link, self._role)
         if self._radars is not None:
             self._radars.close()
+
+
+class PoseFeed:
+    """Feed of a vehicle's poses.
+
+    Args:
+        place: `tcp://host:port`, `udp://host:port`, or nothing.
+        options: name the vehicle and the origin of the world.
+
+    Raises:
+        InputError: the place cannot be opened.
+    """
+
+    settings = PoseOptions
+
+    def __init__(self, place: str, options: PoseOptions) -> None:
+        me = Identity(options.system_id, options.name, entities=[Entity(1, options.name, "ullage")])
+        self._link = open_link(place, options, me, role="source", log=warn)
+        self._track = Track(
+            self._link.counters, state=options.state, origin=options.place(), vehicle=options.vehicle, keep=1
+        )
+        self._ready: deque[BodyState] = deque()
+
+    def next(self, timeout_s: float) -> BodyState | None:
+        """Return the next pose, or None if none came within the timeout.
+
+        Raises:
+            InputError: the bus is gone.
+        """
+        if not self._ready:
+            for packet in self._link.arriving(timeout_s):
+                self._ready += [found.item for found in self._track.take(packet)]
+        if not self._ready:
+            if self._link.finished:
+                raise InputError("the bus is gone", where="imc")
+            return None
+        return self._ready.popleft()
+
+    def close(self) -> None:
+        """Let go of the link, unless a sink still uses it."""
+        leave(self._link, "source")

@@ -17,9 +17,9 @@ from ullage.ports.live import options_of
 from ullage.ports.pose_events import EventFeed, ModelPose, Notice
 from ullage.ports.protocol import Passed
 from ullage.ports.publisher import Publisher, shifted
+from ullage.ports.ros2.incoming import Transforms
 from ullage.ports.ros2.middleware import SEARCH_S, Peer, Received
 from ullage.ports.ros2.options import PoseOptions, SimulateOptions
-from ullage.ports.ros2.transforms import Transforms
 from ullage.world.scene import Scene
 
 

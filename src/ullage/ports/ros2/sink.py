@@ -14,8 +14,7 @@ from ullage.ports import schema as ros
 from ullage.ports.diagnostics import TOPIC, Status
 from ullage.ports.intake import Worker, warn
 from ullage.ports.protocol import Item
-from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_present, on
-from ullage.ports.rate_limiter import LATE_S, STEP_BACK_S, RateLimiter
+from ullage.ports.publisher import LATE_S, STEP_BACK_S, Clock, Message, Publisher, RateLimiter, in_order, is_present, on
 from ullage.ports.ros2.middleware import CLOCK, Peer
 from ullage.ports.ros2.options import SinkOptions
 from ullage.processing.health import HealthMonitor
