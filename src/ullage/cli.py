@@ -270,11 +270,11 @@ def run(
     """
     first = with_arguments(source[0], xacro or [])
     repair(first)
-    from ullage.experiments.catalog import variant_name
-    from ullage.experiments.comparison import fly_again, rival_scenario
-    from ullage.experiments.live_target import LiveTarget
+    from ullage.experiments.catalog import rival_scenario, variant_name
+    from ullage.experiments.runner import fly_again
     from ullage.experiments.source_resolution import check_target, make_run, tasks_of
     from ullage.pipeline import check_sink
+    from ullage.ports.instruments.group import LiveTarget
     from ullage.view.progress import log, progress_bar
 
     port = poses if poses is not None and ":" in poses else ""
@@ -444,7 +444,7 @@ def _carry_out(
 def _print_summary(report: Report) -> None:
     """Print the outcome, the scores and the report page of a run."""
     from ullage.experiments.folder import RunFolder
-    from ullage.experiments.inspection import found_line
+    from ullage.experiments.verdict import found_line
     from ullage.view.progress import log, log_report
 
     outcome = report.outcome
@@ -585,8 +585,7 @@ def measure(run: RunName = "latest") -> None:
 
     The scenario has them. Exit 1 when one is broken.
     """
-    from ullage.experiments.bounds import verdicts
-    from ullage.experiments.folder import RunFolder
+    from ullage.experiments.folder import RunFolder, verdicts
     from ullage.view.progress import answer
 
     found = RunFolder.find(run)

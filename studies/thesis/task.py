@@ -18,8 +18,7 @@ from studies.thesis.plan import Experiment
 from studies.thesis.results import Results, read_results
 from studies.thesis.workspace import Workspace
 from ullage.errors import InputError
-from ullage.experiments.bounds import Verdict, verdicts
-from ullage.experiments.folder import provenance, read_json
+from ullage.experiments.folder import Verdict, provenance, read_json, verdicts
 
 
 @dataclass(frozen=True, slots=True)

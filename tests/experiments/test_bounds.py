@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from ullage.data import Frames, Trajectory
-from ullage.experiments.bounds import verdicts
 from ullage.experiments.catalog import find_scenario
-from ullage.experiments.folder import RunFolder
+from ullage.experiments.folder import RunFolder, verdicts
 from ullage.experiments.run import of_scenario
 from ullage.experiments.runner import execute
 from ullage.experiments.simulated import Simulated, prepare

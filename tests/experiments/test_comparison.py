@@ -12,8 +12,8 @@ import pytest
 import ullage as ul
 from ullage.cli import main
 from ullage.data import Metric
-from ullage.experiments.comparison import rival_scenario
-from ullage.experiments.inspection import found_line, inspect, place_of
+from ullage.experiments.catalog import rival_scenario
+from ullage.experiments.verdict import found_line, inspect, place_of
 
 SHORT = ["flight.waypoints=[[-1.5, -1, 1], [-1, -1, 1]]", "flight.vehicle=ideal", "map.step_m=0.2"]
 

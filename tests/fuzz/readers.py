@@ -369,7 +369,7 @@ def _read_motive(path: Path) -> None:
 
 def _pulson(folder: Path) -> list[bytes]:
     """A log with the bare configuration, and with the whole messages."""
-    from ullage.ports.pulson import CONFIG
+    from ullage.ports.radar_logs import CONFIG
 
     out = list(_recorded("pulson440", "rail_a", "radar.out")(folder))
     for kind, tail in ((0x1001, b""), (0x1102, bytes(8))):
@@ -468,7 +468,7 @@ def _read_tracks(path: Path) -> None:
 
 
 def _read_pulson(path: Path) -> None:
-    from ullage.ports.pulson import read_log
+    from ullage.ports.radar_logs import read_log
 
     read_log(path)
 

@@ -12,8 +12,7 @@ import ullage as ul
 from ullage.ports import schema as ros
 from ullage.ports.cosimulation import CosimulationOptions, CosimulationSource, resolved, rig_of, world_of
 from ullage.ports.diagnostics import RadarStatus
-from ullage.ports.gazebo.sink import GazeboSink
-from ullage.ports.gazebo.topics import nearest
+from ullage.ports.gazebo.topics import GazeboSink, nearest
 from ullage.ports.intake import Counters
 from ullage.ports.live import options_of
 from ullage.ports.pose_events import ModelPose, Notice

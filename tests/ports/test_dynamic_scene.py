@@ -10,8 +10,7 @@ from scripted import Script
 
 import ullage as ul
 from ullage.ports.cosimulation import CosimulationOptions, CosimulationSource
-from ullage.ports.dynamic_scene import TURNED_RAD, DynamicScene
-from ullage.ports.pose_events import ModelPose, OtherModels
+from ullage.ports.pose_events import TURNED_RAD, DynamicScene, ModelPose, OtherModels
 
 AHEAD = (0.0, 0.0, 0.0, 1.0)
 RADAR = ul.RadarSpec.preset("x4m05", fps=10, antenna={"kind": "isotropic"}, noise=None)

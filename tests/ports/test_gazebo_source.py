@@ -18,9 +18,8 @@ from ullage.ports.cosimulation import CosimulationSource, resolved
 from ullage.ports.gazebo import transport as wire
 from ullage.ports.gazebo.messages import gz
 from ullage.ports.gazebo.peer import ProcessLeft, Received, TopicOffered
-from ullage.ports.gazebo.scene import ask_scene, sdf_of
 from ullage.ports.gazebo.transport import TransportPeer
-from ullage.ports.gazebo.transport_source import TransportFeed, TransportOptions, open_source
+from ullage.ports.gazebo.transport_source import TransportFeed, TransportOptions, ask_scene, open_source, sdf_of
 
 SERVER = Path(__file__).with_name("gazebo_server.cpp")
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ullage as ul
-from ullage.ports.pulson import CONFIG, PACKET, read_log
+from ullage.ports.radar_logs import CONFIG, PACKET, read_log
 from ullage.ports.tracks import read_tracks
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "pulson440"

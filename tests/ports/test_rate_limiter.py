@@ -7,7 +7,7 @@ import pytest
 
 import ullage as ul
 from ullage.errors import UllageWarning
-from ullage.ports.gazebo.sink import GazeboSink
+from ullage.ports.gazebo.topics import GazeboSink
 from ullage.ports.publisher import Message, RateLimiter
 from ullage.ports.ros2.sink import StampOrder
 

@@ -10,8 +10,7 @@ import numpy as np
 
 import ullage as ul
 from ullage.geometry import matrix_quat, quat_matrix, quat_rpy
-from ullage.ports.geodetic import Geodetic
-from ullage.ports.ned import FLIP, SWAP
+from ullage.ports.ned import FLIP, SWAP, Geodetic
 
 PLACE = Geodetic.degrees(-33.5, -70.25, 520.0)
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from ullage.config import Scenario, is_set_by, read_scenario, split_source
 from ullage.errors import InputError, shown
@@ -19,8 +19,8 @@ CLOSE = 0.6
 """Least likeness of a name to one that is suggested in its place, 0 to 1."""
 _PARTS = re.compile(r"-physical|(?P<hand>-by-hand)|-(?P<cells>\d+cm)$")
 
-Law = Literal["thesis", "physical"]
-LAWS: tuple[Law, ...] = ("thesis", "physical")
+LAWS = {"thesis": "the method of 2018", "physical": "ullage's method"}
+"""Laws of the echoes, and what reports call their methods."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -111,6 +111,27 @@ def find_scenario(name_or_path: str, *, options: Sequence[str] = ()) -> Scenario
         return _with_files(scenario, Path(name_or_path), options)
     what = f"no scenario {name_or_path!r}{suggestion(name_or_path, scenario_names())}"
     raise InputError(what, allowed=f"a .yaml file or one of {', '.join(families())}; ullage list shows their options")
+
+
+def rival_scenario(source: str, law: str, *, options: Sequence[str] = ()) -> Scenario:
+    """Find the scenario of the same family with another law, reduced to its map.
+
+    Args:
+        source: name of a shipped scenario.
+        law: of the other scenario, thesis or physical.
+        options: `a.b=value` over both scenarios.
+
+    Raises:
+        InputError: there is no such law or variant, or the flights differ.
+    """
+    if source not in scenario_names():
+        raise InputError(f"{source!r} is no shipped scenario", where="--compare", allowed=", ".join(families()))
+    scenario = find_scenario(source, options=options)
+    rival = find_scenario(variant_name(source, law=law), options=options).but(do=("map",), expect={})
+    for part in ("world", "flight", "seed"):
+        if getattr(scenario, part) != getattr(rival, part):
+            raise InputError(f"{rival.name} has another {part}", where="--compare", allowed="the same flight")
+    return rival
 
 
 def _with_files(scenario: Scenario, file: Path, options: Sequence[str]) -> Scenario:

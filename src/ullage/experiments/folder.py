@@ -2,7 +2,7 @@
 
 A run is written to `runs/.NAME-HASH8.draft` and swapped in when it is complete. Until then its process locks
 `runs/.NAME-HASH8.lock`. A kill leaves the draft, with `"state": "running"` in its provenance.json; no process holds
-its lock then.
+its lock then. `verdicts` compares its metrics with the bounds that its scenario sets.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, Self
 
+from ullage.config import Bound, read_scenario
 from ullage.data import Metric
 from ullage.errors import InputError
 from ullage.files import write_whole, writing
@@ -329,3 +330,41 @@ def metric_tree(metrics: Mapping[str, Metric]) -> dict[str, Any]:
         name: {"value": m.value if abs(m.value) < float("inf") else None, "unit": m.unit}
         for name, m in sorted(metrics.items())
     }
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Metric with its bound."""
+
+    name: str
+    value: float | None
+    bound: Bound
+
+    @property
+    def inside(self) -> bool:
+        """Whether the metric is known and within its bound."""
+        if self.value is None:
+            return False
+        low, high = self.bound.min, self.bound.max
+        return (low is None or self.value >= low) and (high is None or self.value <= high)
+
+    @property
+    def text(self) -> str:
+        """Metric, value and bound in one line."""
+        low, high = self.bound.min, self.bound.max
+        limits = " and ".join(
+            s for s in ("" if low is None else f">= {low:g}", "" if high is None else f"<= {high:g}") if s
+        )
+        value = "unknown" if self.value is None else f"{self.value:.4g}"
+        return f"{self.name} {value}, wanted {limits or 'known'}"
+
+
+def verdicts(folder: Path) -> list[Verdict]:
+    """Compare every bound of the run's scenario with its metric.
+
+    Raises:
+        InputError: the run lacks its scenario or metrics.
+    """
+    expect = read_scenario(folder / "scenario.yaml").expect
+    metrics = read_json(folder / "metrics.json")
+    return [Verdict(name, (metrics.get(name) or {}).get("value"), bound) for name, bound in expect.items()]

@@ -12,11 +12,10 @@ from ullage.config import Scenario, Task
 from ullage.data import Metric, Trajectory
 from ullage.experiments.folder import RunFolder
 from ullage.experiments.imaging import ImagePlane
-from ullage.experiments.inspection import ObjectOnMap
-from ullage.experiments.obstacle_table import ObstacleTable
 from ullage.experiments.radar_poses import RadarPoses
-from ullage.experiments.report_collectors import QuietestFrames, RangeTime, SampledFrames
+from ullage.experiments.report_collectors import ObstacleTable, QuietestFrames, RangeTime, SampledFrames
 from ullage.experiments.simulated import Simulated
+from ullage.experiments.verdict import ObjectOnMap
 from ullage.pipeline import DetectStage, MapStage, Outcome, Sink, Source
 from ullage.processing.health import HealthMonitor
 from ullage.processing.own_echo import OwnEchoFilter

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -14,18 +15,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ullage.arrays import Floats
-from ullage.config import scenario_text
+from ullage.config import Scenario, scenario_text
 from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError, UllageError
-from ullage.experiments.folder import metric_tree, write_json, write_text
+from ullage.experiments.catalog import LAWS
+from ullage.experiments.folder import RunFolder, metric_tree, write_json, write_text
 from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
-from ullage.experiments.inspection import inspect, object_rows, place_of
-from ullage.experiments.map_files import MapSaver, write_map_files
-from ullage.experiments.obstacle_table import ObstacleTable
 from ullage.experiments.replay_parts import keep_replay
-from ullage.experiments.run import Compared, Report, Run
-from ullage.experiments.simulated import Simulated
-from ullage.experiments.verdict import verdict
+from ullage.experiments.report_collectors import MapSaver, ObstacleTable, write_map_files
+from ullage.experiments.run import Compared, Report, Run, of_scenario
+from ullage.experiments.simulated import Simulated, prepare
+from ullage.experiments.verdict import inspect, object_rows, place_of, verdict
 from ullage.flow import Stage
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import LOGGER, DetectStage, ImageStage, MapStage, Outcome, Sink, Source, run
@@ -405,3 +405,10 @@ def _explained(path: Path, name: str, frames: Frames, index: int, job: Run) -> P
 
 def _walls(scene: Scene | None, height_m: float) -> Any:
     return None if scene is None else section(scene, height_m)
+
+
+def fly_again(rival: Scenario, law: str) -> Compared:
+    """Run a scenario for its scores alone; nothing is kept on the disk."""
+    with tempfile.TemporaryDirectory(prefix="ullage-") as folder:
+        report = execute(of_scenario(RunFolder(Path(folder)), prepare(rival)), log=lambda _: None, draw=False)
+    return Compared(LAWS[law], rival.name, report.metrics)

@@ -17,13 +17,13 @@ from ullage.data import Frames, Trajectory, gathered, sensors_of, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
 from ullage.experiments.folder import RunFolder
-from ullage.experiments.live_target import LiveTarget
 from ullage.experiments.radar_poses import RadarPoses
 from ullage.experiments.run import Run, of_scenario
 from ullage.experiments.simulated import Simulated, load_world, prepare, radars_and_world, waypoints_of
 from ullage.pipeline import LOGGER, InMemorySource, Sink, check_sink
 from ullage.pipeline import sink as open_sink
 from ullage.ports.arrays import refuse_pickle
+from ullage.ports.instruments.group import LiveTarget
 from ullage.ports.live import LISTED, Address
 from ullage.ports.registry import SOURCES, reads
 from ullage.ports.registry import open as open_source

@@ -15,7 +15,6 @@ from ullage.config import Fidelity
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.ports.diagnostics import RadarStatus
-from ullage.ports.dynamic_scene import DynamicScene
 from ullage.ports.intake import (
     GAP_NS,
     LATE_NS,
@@ -29,7 +28,7 @@ from ullage.ports.intake import (
     checked_pose,
 )
 from ullage.ports.live import LiveSource
-from ullage.ports.pose_events import Feed, ModelPose, Notice, OtherModels
+from ullage.ports.pose_events import DynamicScene, Feed, ModelPose, Notice, OtherModels
 from ullage.radar.live import LiveRadars
 from ullage.specs import MOST_BOUNCES, Rig
 from ullage.world.scene import Scene

@@ -43,15 +43,15 @@ LIVE = {
     "ros2": Port(
         "ros2.source.open_source",
         "ros2.sink.Ros2Sink",
-        "ros2.drone.RosDrone",
-        "ros2.hand.open_controls",
+        "ros2.commands.RosDrone",
+        "ros2.commands.open_controls",
         "ros2.cosimulation.open_poses",
     ),
     "gazebo": Port(
-        "gazebo.transport_source.open_source", "gazebo.sink.open_transport_sink", "gazebo.drone.GazeboDrone"
+        "gazebo.transport_source.open_source", "gazebo.topics.open_transport_sink", "gazebo.topics.GazeboDrone"
     ),
-    "gazebo-classic": Port("gazebo.classic_source.open_source", "gazebo.sink.open_classic_sink"),
-    "imc": Port("imc.source.ImcSource", "imc.sink.ImcSink", "imc.drone.ImcDrone", poses="imc.source.PoseFeed"),
+    "gazebo-classic": Port("gazebo.classic_source.open_source", "gazebo.topics.open_classic_sink"),
+    "imc": Port("imc.source.ImcSource", "imc.sink.ImcSink", "imc.backseat.ImcDrone", poses="imc.source.PoseFeed"),
     "mavlink": Port(
         "mavlink.source.open_source",
         "mavlink.sink.MavlinkSink",

@@ -36,7 +36,7 @@ FILES = {
     ".zarr": ("store.ZarrSource", "store.ZarrSink"),
     ".lsf": ("imc.lsf.LsfSource", "imc.lsf.LsfSink"),
     ".lsf.gz": ("imc.lsf.LsfSource", "imc.lsf.LsfSink"),
-    ".dat": ("x4.X4Source", ""),
+    ".dat": ("radar_logs.X4Source", ""),
     ".npz": ("tracked.open_arrays", ""),
     ".mat": ("tracked.open_arrays", ""),
     ".h5": ("tracked.open_arrays", ""),
@@ -56,7 +56,7 @@ MAPS = {
     ".pgm": ("maps.read_map_server", "maps.write_map_server"),
     ".bt": ("octomap.read_octomap", "octomap.write_octomap"),
     ".ot": ("octomap.read_octomap", "octomap.write_octomap"),
-    ".ply": ("ply.read_ply", "ply.write_ply"),
+    ".ply": ("maps.read_ply", "maps.write_ply"),
 }
 """The same of map files."""
 

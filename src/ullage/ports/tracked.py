@@ -10,11 +10,10 @@ import numpy as np
 from ullage.arrays import Floats, Longs
 from ullage.data import Frames, Trajectory, sensors_of
 from ullage.errors import InputError
-from ullage.ports.a121 import SESSIONS, read_sessions
 from ullage.ports.arrays import Arrays, names_in, read_npz, refuse_pickle
 from ullage.ports.intake import warn
 from ullage.ports.protocol import Source, WholeSource
-from ullage.ports.pulson import read_arrays, read_log, read_scans
+from ullage.ports.radar_logs import SESSIONS, read_arrays, read_log, read_scans, read_sessions
 from ullage.ports.tracks import Survey, read_bodies, read_survey, read_tracks
 from ullage.ports.vehicle_logs import read_dataflash, read_nmea, read_ubx, read_ulog
 from ullage.specs import MountSpec

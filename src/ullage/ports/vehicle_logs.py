@@ -20,9 +20,8 @@ from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.errors import InputError, need
 from ullage.geometry import rpy_quat
-from ullage.ports.geodetic import Geodetic, datum_of
 from ullage.ports.intake import warn
-from ullage.ports.ned import SWAP, enu_quat
+from ullage.ports.ned import SWAP, Geodetic, datum_of, enu_quat
 from ullage.untrusted import reading
 
 Pose = tuple[int, ArrayLike, ArrayLike]

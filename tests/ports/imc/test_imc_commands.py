@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ullage.flight.live import Steered, Wish
-from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import Message, Packet, make
 from ullage.ports.imc.helm import MANEUVERS, Commands
+from ullage.ports.ned import Geodetic
 
 ORIGIN = Geodetic.degrees(63.4185, 10.4009, 40.0)
 CONTROLLER = 0x0803

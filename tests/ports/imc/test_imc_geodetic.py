@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ullage.geometry import matrix_quat, quat_matrix, quat_rpy, rpy_quat
-from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.assemble import pose_of
 from ullage.ports.imc.frames import state_of
 from ullage.ports.imc.table import own
+from ullage.ports.ned import Geodetic
 from ullage.ports.pose_events import BodyState
 
 ANYWHERE = st.builds(Geodetic, st.floats(-1.55, 1.55), st.floats(-3.1, 3.1), st.floats(-100, 5000))

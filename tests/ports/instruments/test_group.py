@@ -17,9 +17,8 @@ import ullage as ul
 from ullage.cli import main
 from ullage.data import gathered
 from ullage.errors import InputError
-from ullage.experiments.live_target import LiveTarget
 from ullage.ports.instruments import group
-from ullage.ports.instruments.group import InstrumentGroup, mounted, named
+from ullage.ports.instruments.group import InstrumentGroup, LiveTarget, mounted, named
 from ullage.ports.instruments.simulated import SimulatedMrm, SimulatedX4
 from ullage.ports.instruments.source import NotReadyError
 from ullage.ports.live import Address

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ullage.ports.instruments import x4_protocol as mcp
+from ullage.ports.instruments import x4 as mcp
 
 BODIES = st.binary(min_size=1, max_size=40)
 FLOATS = st.lists(st.floats(-1, 1, width=32), min_size=1, max_size=60)

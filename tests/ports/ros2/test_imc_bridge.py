@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, Parser, encode, make
 from ullage.ports.imc.frames import BODY
 from ullage.ports.imc.relay import LOCAL
 from ullage.ports.imc.table import own
+from ullage.ports.ned import Geodetic
 
 from .network import ROOT, Network, result_of
 

@@ -12,7 +12,7 @@ from xml.etree import ElementTree as ET
 from ullage.flight.live import Wish
 from ullage.geometry import quat_rpy
 from ullage.ports.drone import DroneOptions, Guided, Limits
-from ullage.ports.gazebo.drone import GazeboDrone
+from ullage.ports.gazebo.topics import GazeboDrone
 from ullage.world.library import WORLDS
 
 ET.register_namespace("ullage", "urn:ullage:sdf")

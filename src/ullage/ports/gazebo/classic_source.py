@@ -12,10 +12,9 @@ from pydantic import Field
 
 from ullage.ports.cosimulation import CosimulationOptions, CosimulationSource, matching, resolved
 from ullage.ports.gazebo.classic import ClassicPeer, master_of
-from ullage.ports.gazebo.feed import Feed
 from ullage.ports.gazebo.messages import classic
 from ullage.ports.gazebo.peer import Connected, Disconnected, Event, Received
-from ullage.ports.gazebo.topics import CLASSIC, RadarTopics
+from ullage.ports.gazebo.topics import CLASSIC, Feed, RadarTopics
 from ullage.ports.intake import PATIENCE_S, Log
 from ullage.ports.live import options_of
 from ullage.ports.pose_events import ModelPose, Notice, OtherModels, pose_of, stamp_ns

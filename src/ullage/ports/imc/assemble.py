@@ -16,11 +16,10 @@ from ullage.data import Frames, Trajectory, joined
 from ullage.geometry import C0, matrix_quat, quat_matrix, rpy_quat
 from ullage.ports import conversions
 from ullage.ports import schema as ros
-from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import Packet, readable
 from ullage.ports.imc.frames import carried, mount_of, profile_of
 from ullage.ports.intake import Clock, Counters, Log, Once, Place, PoseQueue, Stamped, Stream
-from ullage.ports.ned import FLIP, SWAP
+from ullage.ports.ned import FLIP, SWAP, Geodetic
 from ullage.ports.pose_events import BodyState, path_along
 from ullage.ports.replay import sound_frames
 from ullage.specs import MountSpec, RadarSpec

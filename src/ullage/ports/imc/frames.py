@@ -19,12 +19,11 @@ from ullage.data import Frames, Trajectory
 from ullage.geometry import invert, matrix_quat, quat_matrix, quat_rpy, transform
 from ullage.ports import conversions
 from ullage.ports import schema as ros
-from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import MOST, Message, make
 from ullage.ports.imc.options import MessageOptions
 from ullage.ports.imc.wires import Entity
 from ullage.ports.intake import Once
-from ullage.ports.ned import FLIP, SWAP
+from ullage.ports.ned import FLIP, SWAP, Geodetic
 from ullage.ports.pose_events import BodyState
 from ullage.ports.protocol import Item
 from ullage.processing.detect import detect

@@ -15,13 +15,12 @@ from typing import Any
 
 from ullage.flight.live import Steered, Wish
 from ullage.ports.drone import Guided
-from ullage.ports.geodetic import Geodetic
 from ullage.ports.imc.codec import NOBODY, Message, Packet, make
 from ullage.ports.imc.frames import state_of
 from ullage.ports.imc.link import Link
 from ullage.ports.imc.options import SourceOptions
 from ullage.ports.intake import PIECE_S, Inbox, Log, Once, Worker
-from ullage.ports.ned import SWAP
+from ullage.ports.ned import SWAP, Geodetic
 from ullage.ports.pose_events import BodyState, path_along
 from ullage.ports.protocol import Passing
 from ullage.world.scene import Scene

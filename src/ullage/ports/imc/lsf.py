@@ -14,7 +14,6 @@ from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.files import write_whole, writing
 from ullage.flow import Sink
-from ullage.ports.geodetic import datum_of
 from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, Parser, encode, make
 from ullage.ports.imc.frames import BODY, MessageEncoder
@@ -23,6 +22,7 @@ from ullage.ports.imc.table import from_xml, own, to_xml
 from ullage.ports.imc.wires import Entity
 from ullage.ports.intake import Counters, warn
 from ullage.ports.live import options_of
+from ullage.ports.ned import datum_of
 from ullage.ports.protocol import Item, Recording, pieces
 
 AT_ONCE = 1 << 19

@@ -11,9 +11,9 @@ from ullage.errors import InputError
 from ullage.ports import drone
 from ullage.ports.cosimulation import SensingOptions
 from ullage.ports.drone import CommandOptions, DroneOptions, Takes
-from ullage.ports.geodetic import TRONDHEIM, Geodetic, datum_of
 from ullage.ports.imc.table import Table, from_xml, own
 from ullage.ports.live import point_of
+from ullage.ports.ned import TRONDHEIM, Geodetic, datum_of
 from ullage.ports.network import Place, place_of
 from ullage.specs import Spec
 

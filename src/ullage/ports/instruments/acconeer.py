@@ -16,9 +16,9 @@ from pydantic import Field
 from ullage.data import Unit
 from ullage.errors import InputError, need, one_line
 from ullage.geometry import C0
-from ullage.ports.a121 import subsweep_fields
 from ullage.ports.instruments.source import InstrumentOptions, InstrumentSource, Scan, host_and_port, split_options
 from ullage.ports.protocol import Source
+from ullage.ports.radar_logs import subsweep_fields
 from ullage.specs import RadarSpec
 
 PORT = 6110

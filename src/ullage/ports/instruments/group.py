@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -19,9 +19,10 @@ from typing import Any, NamedTuple
 from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory, joined
 from ullage.errors import InputError, one_line
+from ullage.ports.cosimulation import rig_of
 from ullage.ports.instruments.source import BATCH_S, RETRY_S, InstrumentClock, InstrumentSource, NotReadyError
 from ullage.ports.intake import PATIENCE_S, Counters, Inbox, Log, Place, PoseQueue, checked_pose
-from ullage.ports.live import Address, LiveSource
+from ullage.ports.live import INSTRUMENTS, LISTED_POSES, Address, LiveSource
 from ullage.ports.pose_events import BodyState, ModelPose, PoseTrack, TimedPose, path_through
 from ullage.ports.protocol import of_one_kind
 from ullage.ports.publisher import is_present
@@ -309,3 +310,63 @@ def mounted(addresses: Sequence[Address], rig: Rig) -> list[Address]:
             raise InputError(f"no radar {name!r} in the rig", where=str(address), allowed=", ".join(rig.sensors))
         out.append(replace(address, options={"mount": rig.sensors[name].mount, **address.options}))
     return out
+
+
+@dataclass(frozen=True, slots=True)
+class LiveTarget:
+    """Live ports that are received together."""
+
+    addresses: tuple[Address, ...]
+    poses: Address | None = None
+
+    @classmethod
+    def of(cls, sources: Sequence[str], poses: str = "") -> LiveTarget | None:
+        """Return what several sources, or one beside a port of poses, name; None: one source of any kind.
+
+        Args:
+            sources: what `ullage run` is given.
+            poses: a live port that gives poses; empty: none.
+
+        Raises:
+            InputError: a source is no instrument, or nothing gives poses at `poses`.
+        """
+        if len(sources) == 1 and not poses:
+            return None
+        found = [Address.of(source) for source in sources]
+        for source, address in zip(sources, found, strict=True):
+            if address is None or address.scheme not in INSTRUMENTS:
+                what = f"{source!r} together with {'a port of poses' if poses else 'other sources'}"
+                raise InputError(
+                    what, where="run", allowed=f"instruments: {', '.join(f'{one}:' for one in INSTRUMENTS)}"
+                )
+        posed = Address.of(poses) if poses else None
+        if posed is not None and (not posed.known or posed.part("poses") is None):
+            raise InputError(f"no poses come from {poses!r}", where="--poses", allowed=LISTED_POSES)
+        return cls(tuple(address for address in found if address is not None), posed)
+
+    @property
+    def kind(self) -> str:
+        """Its schemes, for the name of a run."""
+        return "-".join(dict.fromkeys(address.scheme for address in self.addresses))
+
+    def __str__(self) -> str:
+        """Return the places, for people."""
+        places = ", ".join(map(str, self.addresses))
+        return places if self.poses is None else f"{places} with poses of {self.poses}"
+
+    def open(self, rig: str = "") -> Any:
+        """Open the source.
+
+        Args:
+            rig: preset or file that has the mounts of instruments by name; empty: each has its own.
+
+        Raises:
+            InputError: a port, an option or the rig cannot be used.
+        """
+        addresses = list(self.addresses)
+        if all(address.scheme in INSTRUMENTS for address in addresses):
+            if rig:
+                addresses = mounted(addresses, rig_of(rig, None, "", where="sensing.rig"))
+            if len(addresses) > 1 or self.poses is not None:
+                return InstrumentGroup(addresses, self.poses)
+        return addresses[0].open("source")

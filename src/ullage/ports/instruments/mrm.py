@@ -23,7 +23,7 @@ from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.ports.instruments.source import InstrumentOptions, InstrumentSource, Scan, host_and_port, split_options
 from ullage.ports.protocol import Source
-from ullage.ports.pulson import LEAD_S, PACKET, SCAN_INFO, STEP_S
+from ullage.ports.radar_logs import LEAD_S, PACKET, SCAN_INFO, STEP_S
 from ullage.specs import RadarSpec
 
 PORT = 21210

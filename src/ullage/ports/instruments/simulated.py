@@ -22,11 +22,9 @@ import numpy as np
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0
-from ullage.ports.a121 import subsweep_fields
 from ullage.ports.instruments import acconeer, mrm
-from ullage.ports.instruments import x4_protocol as mcp
-from ullage.ports.pulson import LEAD_S, PACKET, SCAN_INFO, STEP_S
-from ullage.ports.x4 import DRIVER_C
+from ullage.ports.instruments import x4 as mcp
+from ullage.ports.radar_logs import DRIVER_C, LEAD_S, PACKET, SCAN_INFO, STEP_S, subsweep_fields
 from ullage.radar.simulate import simulate
 from ullage.specs import RadarSpec
 from ullage.world import scenes

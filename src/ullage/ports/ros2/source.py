@@ -207,7 +207,7 @@ def open_source(namespace: str, options: dict[str, Any]) -> Source:
     """
     where = f"ros2:{namespace}"
     if "fly" in options:
-        from ullage.ports.ros2.hand import TopicFlyOptions, open_flight
+        from ullage.ports.ros2.commands import TopicFlyOptions, open_flight
 
         return open_flight(namespace, options_of(TopicFlyOptions, options, where))
     if "simulate" in options or "world" in options:
