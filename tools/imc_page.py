@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from ullage.ports.imc.broker import LOCAL
 from ullage.ports.imc.interpreter import PAIRS, REASONS, Row
-from ullage.ports.imc.relay import LOCAL
 from ullage.ports.imc.table import own
 
 HEAD = """# IMC messages in ROS

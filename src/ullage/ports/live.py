@@ -51,7 +51,7 @@ LIVE = {
         "gazebo.transport_source.open_source", "gazebo.topics.open_transport_sink", "gazebo.topics.GazeboDrone"
     ),
     "gazebo-classic": Port("gazebo.classic_source.open_source", "gazebo.topics.open_classic_sink"),
-    "imc": Port("imc.source.ImcSource", "imc.sink.ImcSink", "imc.backseat.ImcDrone", poses="imc.source.PoseFeed"),
+    "imc": Port("imc.source.ImcSource", "imc.frames.ImcSink", "imc.backseat.ImcDrone", poses="imc.source.PoseFeed"),
     "mavlink": Port(
         "mavlink.source.open_source",
         "mavlink.sink.MavlinkSink",

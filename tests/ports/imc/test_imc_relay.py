@@ -15,10 +15,9 @@ from waiting import until
 
 import ullage as ul
 from conftest import same_message
-from ullage.ports.imc.broker import register, to_raw, to_ros
+from ullage.ports.imc.broker import LOCAL, Outgoing, RosToImc, passed, register, to_raw, to_ros
 from ullage.ports.imc.codec import Message, Packet, encode, make
 from ullage.ports.imc.interpreter import PAIRS
-from ullage.ports.imc.relay import LOCAL, Outgoing, RosToImc, passed
 from ullage.ports.imc.table import own
 from ullage.ports.protocol import Passed, Passing
 from ullage.ports.schema import RAW, decoded, encoded

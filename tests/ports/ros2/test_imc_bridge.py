@@ -10,9 +10,9 @@ import pytest
 
 import ullage as ul
 from ullage.ports.imc.assemble import FrameAssembler, Track
+from ullage.ports.imc.broker import LOCAL
 from ullage.ports.imc.codec import Packet, Parser, encode, make
 from ullage.ports.imc.frames import BODY
-from ullage.ports.imc.relay import LOCAL
 from ullage.ports.imc.table import own
 from ullage.ports.ned import Geodetic
 

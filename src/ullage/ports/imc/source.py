@@ -18,10 +18,10 @@ from ullage.errors import InputError
 from ullage.ports.cosimulation import rig_of, world_of
 from ullage.ports.drone import Drone, DroneOptions, Guided, Limits
 from ullage.ports.imc.assemble import FrameAssembler, Track
+from ullage.ports.imc.broker import passed
 from ullage.ports.imc.codec import Packet
 from ullage.ports.imc.link import Link, Role, leave, open_link
 from ullage.ports.imc.options import PoseOptions, SourceOptions
-from ullage.ports.imc.relay import passed
 from ullage.ports.imc.wires import Entity, Identity
 from ullage.ports.intake import PATIENCE_S, PIECE_S, Covered, Inbox, Log, Once, warn
 from ullage.ports.live import Address, LiveSource, point_of
