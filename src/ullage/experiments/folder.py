@@ -172,7 +172,6 @@ class RunFolder:
             if not (interrupted and type(self)(self.final).state == "complete"):
                 with self._writing():
                     self.path = self._swap_in()
-                    point_latest(self.path)
             return self.path
         finally:
             self.release()
@@ -222,7 +221,7 @@ class RunFolder:
             lock = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if _is_file(lock, path):
+                if os.fstat(lock).st_nlink:
                     os.truncate(lock, 0)
                     os.write(lock, f"{os.getpid()}\n".encode())
                     return lock
@@ -237,7 +236,7 @@ class RunFolder:
                 time.sleep(0.05)
 
     def _swap_in(self) -> Path:
-        """Rename the draft to its final place, and remove the previous folder."""
+        """Rename the draft to its final place, remove the previous folder, and point `latest` at the run."""
         old, final = self._beside("old"), self.final
         if final.exists():
             if old.exists():
@@ -245,6 +244,10 @@ class RunFolder:
             final.rename(old)
         self.path.rename(final)
         shutil.rmtree(old, ignore_errors=True)
+        link = final.parent / f".latest-{os.getpid()}"
+        link.unlink(missing_ok=True)
+        link.symlink_to(final.name)
+        link.replace(final.parent / "latest")
         return final
 
     def _settle(self) -> None:
@@ -256,21 +259,6 @@ class RunFolder:
 
     def _writing(self) -> AbstractContextManager[None]:
         return writing(self.final, allowed="a folder that can be written, --out DIR")
-
-
-def point_latest(final: Path) -> None:
-    """Point `latest` at a run, in one step."""
-    link = final.parent / f".latest-{os.getpid()}"
-    link.unlink(missing_ok=True)
-    link.symlink_to(final.name)
-    link.replace(final.parent / "latest")
-
-
-def _is_file(lock: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(lock), path.stat())
-    except FileNotFoundError:
-        return False
 
 
 def write_text(path: Path, text: str) -> None:

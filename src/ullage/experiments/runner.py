@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,7 @@ from ullage.experiments.replay_parts import keep_replay
 from ullage.experiments.report_collectors import MapSaver, ObstacleTable, write_map_files
 from ullage.experiments.run import Compared, Report, Run, of_scenario
 from ullage.experiments.simulated import Simulated, prepare
-from ullage.experiments.verdict import inspect, object_rows, place_of, verdict
+from ullage.experiments.verdict import inspect, place_of, verdict
 from ullage.flow import Stage
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import LOGGER, DetectStage, ImageStage, MapStage, Outcome, Sink, Source, run
@@ -127,7 +127,11 @@ def _finish(job: Run, outcome: Outcome, log: Log | None) -> Report:
         figures = _write_parts(job, outcome, metrics, log)
         compared = answer()
     raise_if_stopped()
-    write_json(job.folder / "findings.json", _findings(job, compared))
+    other = {} if compared is None else {
+        "compared": {"name": compared.name, "scenario": compared.scenario, "metrics": metric_tree(compared.metrics)}
+    }  # fmt: skip
+    summary = {"objects": [asdict(one) for one in job.objects], "place": job.map_place, **other}
+    write_json(job.folder / "findings.json", summary)
     state = "interrupted" if outcome.interrupted else "complete"
     done = {"state": state, "timing": job.timing, "interrupted": outcome.interrupted}
     write_report(job.folder, origin={**job.place.origin, **done})
@@ -159,14 +163,6 @@ def _beside(rival: Callable[[], Compared] | None) -> Iterator[Callable[[], Compa
         return
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         yield pool.submit(rival).result
-
-
-def _findings(job: Run, compared: Compared | None) -> dict[str, Any]:
-    """Return the summary of the report as plain values."""
-    other = {} if compared is None else {
-        "compared": {"name": compared.name, "scenario": compared.scenario, "metrics": metric_tree(compared.metrics)}
-    }  # fmt: skip
-    return {"objects": object_rows(job.objects), "place": job.map_place, **other}
 
 
 def _keep_what_came(job: Run, error: BaseException) -> None:

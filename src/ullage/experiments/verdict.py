@@ -7,8 +7,8 @@ mapped, missed; for metrics and reports only.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -212,8 +212,3 @@ def found_line(objects: Sequence[ObjectOnMap], metrics: Mapping[str, Metric]) ->
     score = f"F1 {metrics['f1'].value:.3f}, " if "f1" in metrics else ""
     rest = "; ".join(f"{state.split()[0]}: {', '.join(names) or 'none'}" for state, names in named.items())
     return f"found: {score}{shown} of {len(objects)} objects in sight mapped; {rest}"
-
-
-def object_rows(objects: Sequence[ObjectOnMap]) -> list[dict[str, Any]]:
-    """Objects as plain values, for JSON."""
-    return [asdict(one) for one in objects]

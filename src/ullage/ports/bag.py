@@ -26,7 +26,7 @@ from ullage.grids import Image, OccupancyMap
 from ullage.ports import schema as ros
 from ullage.ports.intake import Once
 from ullage.ports.protocol import Item, Passed
-from ullage.ports.publisher import Message, Publisher, Role
+from ullage.ports.publisher import Message, Publisher
 from ullage.ports.replay import MAGIC, McapSource
 from ullage.ports.schema import QUALITIES, Quality
 from ullage.processing.obstacles import ObstacleSectors
@@ -137,12 +137,8 @@ class McapSink(Sink):
         with self._saying_when_full():
             self._writer.start(profile="ros2", library="ullage")
 
-    def write(self, item: Item, *, role: Role = "believed") -> None:
+    def write(self, item: Item) -> None:
         """Take frames (of one sensor or of several by name), the body's path, a map, detections, an image or the scene.
-
-        Args:
-            item: what to record.
-            role: what a path is.
 
         Raises:
             InputError: the recording is closed, or the disk is full; the file so far stays readable.
@@ -152,7 +148,7 @@ class McapSink(Sink):
         if not isinstance(item, RECORDED):
             raise InputError(f"cannot record a {type(item).__name__}", where=self.path, allowed="frames, maps, ...")
         with unbroken():
-            self._put(self._publisher.messages(item, role=role))
+            self._put(self._publisher.messages(item))
 
     def _channel(self, topic: str, kind: str, quality: Quality) -> int:
         if topic not in self._channels:
@@ -230,13 +226,12 @@ def write_metadata(bag: Path, topics: Topics) -> None:
     """
     import yaml
 
-    class Unshared(yaml.SafeDumper):
-        def ignore_aliases(self, data: Any) -> bool:
-            return True
-
     first_ns = topics.first_ns or 0
-    start = {"nanoseconds_since_epoch": first_ns}
-    span = {"nanoseconds": topics.last_ns - first_ns}
+
+    def span() -> dict[str, Any]:  # made twice: YAML would give the second one as an alias
+        start, duration = {"nanoseconds_since_epoch": first_ns}, {"nanoseconds": topics.last_ns - first_ns}
+        return {"starting_time": start, "duration": duration, "message_count": topics.counts.total()}
+
     listed = [
         {
             "topic_metadata": {
@@ -248,15 +243,12 @@ def write_metadata(bag: Path, topics: Topics) -> None:
         }
         for topic, kind in topics.kinds.items()
     ]  # fmt: skip
-    total = topics.counts.total()
-    file = {"path": bag.name, "starting_time": start, "duration": span, "message_count": total}
     about = {
-        "version": 9, "storage_identifier": "mcap", "relative_file_paths": [bag.name], "duration": span,
-        "starting_time": start, "message_count": total, "topics_with_message_count": listed,
-        "compression_format": "", "compression_mode": "", "files": [file], "custom_data": None,
-        "ros_distro": "jazzy",
+        "version": 9, "storage_identifier": "mcap", "relative_file_paths": [bag.name], **span(),
+        "topics_with_message_count": listed, "compression_format": "", "compression_mode": "",
+        "files": [{"path": bag.name, **span()}], "custom_data": None, "ros_distro": "jazzy",
     }  # fmt: skip
-    text = yaml.dump({"rosbag2_bagfile_information": about}, sort_keys=False, Dumper=Unshared)
+    text = yaml.safe_dump({"rosbag2_bagfile_information": about}, sort_keys=False)
     write_whole(bag.with_name("metadata.yaml"), lambda out: out.write(text.encode()))
 
 

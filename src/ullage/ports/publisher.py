@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,6 @@ from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
 
 ODOM = "odom"
-Role = Literal["believed", "truth"]
 PATH_STEP_M, PATH_POINTS = 0.05, 4000
 PATH_POINTS_PER_S = 100
 """The path is published so rarely that it costs no more points a second than this, and at most once a second."""
@@ -187,23 +186,18 @@ class Publisher:
         self._fixed: dict[tuple[str, str], Floats] = {(WORLD, self._odom): np.eye(4)}
         self._settings: dict[str, tuple[object, ...]] = {}
         self.counts: dict[str, int] = {}  # frames so far by topic of the radar
-        self._roles: set[Role] = set()  # times of body paths that the caller gave as such
+        self._own_path = False  # the caller gives the body's path
         self._path = PathFlown()
         self._volume: OccupancyMap | None = None
         self._volume_ns: int | None = None
         self._image: Image | None = None  # whose amplitudes were not sent
         self._image_ns: int | None = None
         self._last_ns = 0
-        self._waiting: list[tuple[Item, Role]] = []  # items without a time of their own, until frames come
+        self._waiting: list[Item] = []  # items without a time of their own, until frames come
         self._begun = False
 
-    def messages(self, item: Item, *, role: Role = "believed") -> list[Message]:
-        """Encode one item as messages, in order of their stamps.
-
-        Args:
-            item: frames, detections, a map, an image, the scene, or the body's path.
-            role: what a path is.
-        """
+    def messages(self, item: Item) -> list[Message]:
+        """Encode frames, detections, a map, an image, the scene, or the body's path, in order of their stamps."""
         if isinstance(item, Passed):
             return [Message(item.t_ns, item.topic, item.kind, "relayed", item.data)]
         if isinstance(item, Frames | Mapping):
@@ -212,10 +206,10 @@ class Publisher:
             times = np.unique(np.concatenate([part.t_ns for part in parts])).tolist()
             found += [tick for t_ns in times for tick in self._clock.until(t_ns)]
         elif isinstance(item, Trajectory):
-            self._roles.add(role)
-            found = self._begin(int(item.t_ns[0])) + list(self._of_body(item, role))
+            self._own_path = True
+            found = self._begin(int(item.t_ns[0])) + list(self._of_body(item))
         elif not self._begun:
-            self._waiting.append((item, role))
+            self._waiting.append(item)
             return []
         else:
             found = list(self._of_other(item))
@@ -241,7 +235,7 @@ class Publisher:
             return []
         self._last_ns, self._begun = t_ns, True
         early, self._waiting = self._waiting, []
-        return [message for item, _ in early for message in self._of_other(item)]
+        return [message for item in early for message in self._of_other(item)]
 
     def _of_frames(self, parts: list[Frames]) -> list[Message]:
         first_ns = min(int(part.t_ns[0]) for part in parts)
@@ -250,16 +244,16 @@ class Publisher:
         for part in parts:
             out += self._of_radar(part)
             self._last_ns = max(self._last_ns, int(part.t_ns[-1]))
-        for role in ("believed", "truth"):
-            if role in self._roles:
+        for true in (False, True):
+            if self._own_path and not true:
                 continue
-            paths = [(part, part.poses if role == "believed" else part.truth) for part in parts]
+            paths = [(part, part.truth if true else part.poses) for part in parts]
             known = [(part, path) for part, path in paths if path is not None]
             if known and all(np.array_equal(path.t_ns, known[0][1].t_ns) for _, path in known):
                 known = known[:1]  # one sensor is enough for the body's pose at each time
             body = merged([body_path(part, path) for part, path in known])
             if body is not None:
-                out += self._of_body(body, role)
+                out += self._of_body(body, true=true)
         return out
 
     def _fixed_messages(self, parts: list[Frames], t_ns: int) -> Iterator[Message]:
@@ -300,12 +294,12 @@ class Publisher:
             yield on("radar/NAME/track", t_ns, message, sensor=frames.sensor)
         self._settings[topic] = (known, frames.track)
 
-    def _of_body(self, body: Trajectory, role: Role) -> Iterator[Message]:
+    def _of_body(self, body: Trajectory, *, true: bool = False) -> Iterator[Message]:
         """Encode the body's odometry; for estimated poses also its transforms and path."""
-        parent, topic = (self._odom, "odom") if role == "believed" else (WORLD, "truth/odom")
+        parent, topic = (WORLD, "truth/odom") if true else (self._odom, "odom")
         for t_ns, message in _timed(body, conversions.odometry_messages(body, parent=parent, child=self._body)):
             yield on(topic, t_ns, message)
-        if role != "believed":
+        if true:
             return
         for t_ns, message in _timed(body, conversions.transform_messages(self._body, body, parent=self._odom)):
             yield on("/tf", t_ns, message)

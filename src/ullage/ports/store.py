@@ -173,29 +173,24 @@ class ZarrSource(Recording):
     def _cut(self, name: str, start: int, stop: int) -> Iterator[Frames]:
         """Give the frames of some rows, those with poses and those without apart."""
         try:
-            group = self._root[name]
-            known = [np.isfinite(self._array(group, key)[start:stop]).all(1) for key in PATHS if key in group]
-        except (OSError, KeyError, ValueError, RuntimeError) as error:
-            raise InputError(f"damaged: {error}", where=self.path) from None
-        changes = np.diff(known, axis=1).any(0) if known else np.zeros(0, bool)
-        for first, last in itertools.pairwise([start, *(np.flatnonzero(changes) + start + 1).tolist(), stop]):
-            yield self._read(name, slice(first, last))
-
-    def _read(self, name: str, rows: slice) -> Frames:
-        try:
-            group = self._root[name]
-            t_ns = self._array(group, "t_ns")[rows]
+            group, rows = self._root[name], slice(start, stop)
+            t_ns, samples = self._array(group, "t_ns")[rows], self._array(group, "samples")[rows]
             states = {key: self._array(group, key)[rows] for key in PATHS if key in group}
-            paths = {key: conversions.path_of(t_ns, one) for key, one in states.items() if np.isfinite(one).all()}
-            track = None
+            track, about = None, group.attrs["calibration"]
             if "track" in group:
                 track = conversions.path_of(self._array(group, "track_t_ns")[:], self._array(group, "track")[:])
-            about = group.attrs["calibration"]
-            spec = conversions.spec_of(json.loads(group.attrs["spec"]), name)
-            return Frames(
-                self._array(group, "samples")[rows], self._array(group, "range_m")[:], t_ns, spec, paths.get("poses"),
-                paths.get("truth"), name, group.attrs["unit"], track, None if about is None else Calibration(**about),
-            )  # fmt: skip
+            range_m, spec = self._array(group, "range_m")[:], conversions.spec_of(json.loads(group.attrs["spec"]), name)
+            known = [np.isfinite(one).all(1) for one in states.values()]
+            changes = np.flatnonzero(np.diff(known, axis=1).any(0)) + 1 if known else np.zeros(0, int)
+            for some in itertools.starmap(slice, itertools.pairwise([0, *changes.tolist(), len(t_ns)])):
+                paths = {
+                    key: conversions.path_of(t_ns[some], one[some])
+                    for (key, one), finite in zip(states.items(), known, strict=True) if finite[some].all()
+                }  # fmt: skip
+                yield Frames(
+                    samples[some], range_m, t_ns[some], spec, paths.get("poses"), paths.get("truth"), name,
+                    group.attrs["unit"], track, None if about is None else Calibration(**about),
+                )  # fmt: skip
         except (OSError, KeyError, ValueError, RuntimeError) as error:
             raise InputError(f"damaged: {error}", where=self.path) from None
 

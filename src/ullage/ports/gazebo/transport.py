@@ -291,14 +291,10 @@ def arrived(zmq: Any, sock: Any) -> Iterator[list[bytes]]:
             yield sock.recv_multipart(zmq.NOBLOCK)
 
 
-def setting(name: str) -> str:
-    """Return the value of `GZ_name`, or of `IGN_name` (up to Fortress); empty if neither is set."""
-    return os.environ.get(f"GZ_{name}") or os.environ.get(f"IGN_{name}") or ""
-
-
 def usual_partition() -> str:
-    """Return the partition: GZ_PARTITION, or the default of this host and user."""
-    return setting("PARTITION") or f"{socket.gethostname()}:{getpass.getuser()}"
+    """Return the partition: GZ_PARTITION, IGN_PARTITION (up to Fortress), or the default of this host and user."""
+    given = os.environ.get("GZ_PARTITION") or os.environ.get("IGN_PARTITION")
+    return given or f"{socket.gethostname()}:{getpass.getuser()}"
 
 
 def full_topic(topic: str, partition: str) -> str:

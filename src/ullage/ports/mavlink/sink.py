@@ -129,12 +129,12 @@ def rotations() -> dict[int, Floats]:
     return out
 
 
-def orientation_of(boresight_frd: Floats, *, tolerance_deg: float = 1.0) -> int:
+def orientation_of(boresight_frd: Floats) -> int:
     """The first MAV_SENSOR_ROTATION whose boresight is this one (3), forward-right-down; else CUSTOM.
 
     A distance has no roll about the boresight, so the rotation with the lowest number stands for all.
     """
-    least = math.cos(math.radians(tolerance_deg))
+    least = math.cos(math.radians(1.0))
     found = (number for number, axis in sorted(rotations().items()) if float(np.dot(axis, boresight_frd)) >= least)
     return next(found, CUSTOM)
 
