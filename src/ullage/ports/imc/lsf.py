@@ -76,23 +76,15 @@ class LsfSource(Recording):
         try:
             most = max(MOST_RATIO * self.path.stat().st_size, MOST_UNPACKED)
             with open(self.path, "rb") as file:
-                zipped = file.read(2) == b"\x1f\x8b"
-                file.seek(0)
-                unzip = zlib.decompressobj(wbits=31)
-                while data := file.read(AT_ONCE):
-                    if not zipped:
-                        yield data
-                    while zipped and data:
-                        yield (plain := unzip.decompress(data, AT_ONCE))
-                        given += len(plain)
-                        if given > most:
-                            raise InputError(f"unpacks to over {most} bytes", where=self.path, allowed="a log")
-                        data = unzip.unconsumed_tail or unzip.unused_data
-                        if unzip.eof:
-                            unzip = zlib.decompressobj(wbits=31)
-                if zipped and unzip.unused_data == b"" and not unzip.eof:
-                    yield unzip.flush()
-        except zlib.error as error:
+                log: Any = gzip.GzipFile(fileobj=file) if file.peek(2)[:2] == b"\x1f\x8b" else file
+                while data := log.read1(AT_ONCE):
+                    yield data
+                    given += len(data)
+                    if given > most:
+                        raise InputError(f"unpacks to over {most} bytes", where=self.path, allowed="a log")
+        except EOFError:
+            return  # packed and cut
+        except (zlib.error, gzip.BadGzipFile) as error:
             warn(f"{self.path}: damaged ({error}); all that can be read before that is used")
         except OSError as error:
             raise InputError(f"cannot read: {error.strerror or error}", where=self.path) from None
