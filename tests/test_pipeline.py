@@ -17,8 +17,8 @@ import pytest
 
 import ullage as ul
 from ullage import cli
-from ullage.experiments.report_collectors import RangeTime, SampledFrames
 from ullage.experiments.ros2_nodes import MappingOptions, mapping_stages
+from ullage.experiments.run import RangeTime, SampledFrames
 from ullage.flow import Due
 from ullage.pipeline import DetectStage, ImageStage, InMemorySource, MapStage
 from ullage.ports.publisher import Publisher

@@ -29,7 +29,7 @@ from ullage.experiments.exploration import Exploration
 from ullage.experiments.exploration_report import closest_m, judge, observable_from, reachable
 from ullage.experiments.guarded_flight import Loop
 from ullage.experiments.radar_poses import LivePoses
-from ullage.experiments.report_collectors import SampledFrames
+from ullage.experiments.run import SampledFrames
 from ullage.flight.airframe import GRAVITY_M_S2
 from ullage.flight.missions import along_walls
 from ullage.grids import Grid

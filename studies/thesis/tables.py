@@ -16,7 +16,7 @@ from studies.thesis.workspace import Workspace
 from ullage.data import Frames
 from ullage.experiments.catalog import find_scenario
 from ullage.experiments.folder import provenance
-from ullage.experiments.report_collectors import RangeTime
+from ullage.experiments.run import RangeTime
 from ullage.experiments.simulated import Simulated, prepare
 from ullage.flow import Stage
 from ullage.grids import Grid

@@ -10,7 +10,7 @@ import pytest
 import ullage as ul
 from ullage.config import ImageSpec, make_scenario
 from ullage.experiments.imaging import image_plane, plane_findings
-from ullage.experiments.report_collectors import SampledFrames
+from ullage.experiments.run import SampledFrames
 
 BOX = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.0]])
 SPEC = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None)

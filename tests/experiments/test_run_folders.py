@@ -22,8 +22,7 @@ import ullage as ul
 from ullage.cli import main
 from ullage.experiments.doctor import recording_rate
 from ullage.experiments.folder import RunFolder
-from ullage.experiments.report_collectors import PICTURE_S, MapSaver
-from ullage.experiments.run import Report, Run
+from ullage.experiments.run import PICTURE_S, MapSaver, Report, Run
 from ullage.experiments.runner import execute
 from ullage.experiments.source_resolution import make_run, record
 from ullage.ports import read_map, sink

@@ -21,8 +21,7 @@ from ullage.errors import InputError, UllageError
 from ullage.experiments.catalog import LAWS
 from ullage.experiments.folder import RunFolder, metric_tree, write_json, write_text
 from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
-from ullage.experiments.report_collectors import MapSaver, ObstacleTable, write_map_files
-from ullage.experiments.run import Compared, Report, Run, of_scenario
+from ullage.experiments.run import Compared, MapSaver, ObstacleTable, Report, Run, of_scenario, write_map_files
 from ullage.experiments.simulated import Simulated, prepare
 from ullage.experiments.verdict import inspect, place_of, verdict
 from ullage.flow import Stage
