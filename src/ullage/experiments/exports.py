@@ -11,9 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from ullage.errors import InputError, UllageWarning
+from ullage.experiments.catalog import find_scenario
+from ullage.experiments.simulated import load_world
 from ullage.files import write_whole
 from ullage.grids import Image, OccupancyMap
 from ullage.pipeline import Chunk, DetectStage, run, sink
+from ullage.ports.registry import open as open_source
 from ullage.view.replay import FILE as REPLAY
 from ullage.view.replay import images_of, maps_of, read_replay
 from ullage.world.scene import Scene
@@ -54,9 +57,6 @@ def write_rrd(folder: Path) -> Path:
         MissingExtra: rerun is not installed.
         InputError: the run has no recording, or the file cannot be written.
     """
-    from ullage.experiments.catalog import find_scenario
-    from ullage.ports.registry import open as open_source
-
     recording = _recording(folder)
     scenario = find_scenario(str(folder / "scenario.yaml"))
     tree = read_replay(folder) if (folder / REPLAY).exists() else {}
@@ -79,8 +79,6 @@ def _recording(folder: Path) -> Path:
 
 def _world(scenario: Any) -> Scene | None:
     """Load the world of a simulated run; a missing file gives a warning."""
-    from ullage.experiments.simulated import load_world
-
     try:
         return load_world(scenario.world)
     except InputError as error:

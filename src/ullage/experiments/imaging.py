@@ -13,6 +13,8 @@ from ullage.config import ImageSpec
 from ullage.data import Frames
 from ullage.errors import UllageWarning
 from ullage.grids import Grid, Image
+from ullage.processing.image_height import focus_height
+from ullage.processing.own_echo import without_own_echo
 
 _OFF_DB = 3.0  # a brightest point that focuses so much better elsewhere is warned of [dB]
 _OFF_M, _ALIKE_M = 0.2, 0.5  # how far from the plane that is; spread of reflectors that share a plane [m]
@@ -68,9 +70,6 @@ def plane_findings(image: Image, frames: Mapping[str, Frames], *, marks: Floats 
         frames: of every sensor of the image, by name.
         marks: (m, 3) surveyed reflectors [m].
     """
-    from ullage.processing.image_height import focus_height
-    from ullage.processing.own_echo import without_own_echo
-
     if image.grid.dims == 3 or image.method != "backprojection" or not image.values.any():
         return ""
     plane_m = image.grid.origin_m[2]

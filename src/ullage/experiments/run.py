@@ -28,6 +28,8 @@ from ullage.experiments.verdict import ObjectOnMap
 from ullage.files import writing
 from ullage.grids import OccupancyMap
 from ullage.pipeline import DetectStage, MapStage, Outcome, Sink, Source
+from ullage.ports.maps import write_map_server, write_ply
+from ullage.ports.octomap import write_octomap
 from ullage.processing.health import HealthMonitor
 from ullage.processing.obstacles import ObstacleSectors
 from ullage.processing.own_echo import OwnEchoFilter
@@ -190,9 +192,6 @@ def write_map_files(folder: Path, omap: OccupancyMap) -> None:
     Raises:
         InputError: the disk is full.
     """
-    from ullage.ports.maps import write_map_server, write_ply
-    from ullage.ports.octomap import write_octomap
-
     if omap.grid.dims == 2:
         write_map_server(omap, folder / "map.yaml")
     else:

@@ -27,15 +27,18 @@ from ullage.experiments.verdict import inspect, place_of, verdict
 from ullage.flow import Stage
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import LOGGER, DetectStage, ImageStage, MapStage, Outcome, Sink, Source, run
+from ullage.processing.empty_map import why_empty
 from ullage.processing.metrics import map_quality, worst_moment
 from ullage.processing.obstacles import ObstacleStage
 from ullage.processing.own_echo import without_own_echo
+from ullage.processing.summation import apex
 from ullage.processing.truth import NoSurfaceError
 from ullage.radar.explain import explain
 from ullage.radar.worker_pool import WorkerPool
 from ullage.stop_signals import raise_if_stopped
 from ullage.view import figures, report_figures
 from ullage.view.replay import Explained, Parts, write_replay
+from ullage.view.report import write_report
 from ullage.world.scene import Scene
 from ullage.world.section import section
 
@@ -117,8 +120,6 @@ def _finish(job: Run, outcome: Outcome, log: Log | None) -> Report:
         outcome: what the loop gave.
         log: called when figures are drawn; None: none are.
     """
-    from ullage.view.report import write_report
-
     for item in outcome.results:
         if isinstance(item, OccupancyMap):
             write_map_files(job.folder, item)
@@ -305,8 +306,6 @@ def _against_truth(job: Run, scene: Scene, omap: OccupancyMap, frames: dict[str,
 
 def _why_empty(job: Run, maps: Sequence[OccupancyMap]) -> list[str]:
     """Return why the last map has no occupied cell, by the frames that are kept; nothing where it has some."""
-    from ullage.processing.empty_map import why_empty
-
     if not maps or maps[-1].occupied.any():
         return []
     received = job.sampled.frames()
@@ -322,8 +321,6 @@ def _over_flight(job: Run, grid: Grid) -> list[tuple[float, OccupancyMap]]:
 
 def _place(image: Image) -> list[Metric]:
     """Return the place of the brightest target in one radar's image: the apex of a summation, else the peak."""
-    from ullage.processing.summation import apex
-
     name, point = ("apex", apex(image)) if image.method == "summation" else ("peak", image.peak_m)
     return [Metric(f"{name}_{axis}", float(value), "m") for axis, value in zip("xy", point, strict=False)]
 

@@ -11,8 +11,15 @@ from ullage.config import FlightSpec, Scenario, WorldSpec
 from ullage.data import Frames, Trajectory, even_times, gathered, strung
 from ullage.errors import InputError
 from ullage.experiments.radar_poses import RadarPoses, of_flight
+from ullage.flight.missions import Waypoints, erratic
+from ullage.flight.navigation import navigate
+from ullage.flight.tour import tour
+from ullage.flight.vehicle import fly
 from ullage.geometry import rpy_quat
+from ullage.radar.simulate import simulate_stream
 from ullage.specs import Rig
+from ullage.world.library import WORLDS
+from ullage.world.load import load_scene
 from ullage.world.scene import Scene
 
 Progress = Callable[[float], None]
@@ -44,8 +51,6 @@ class Simulated:
             for start in range(0, len(self.received), self.piece):
                 yield gathered(self.received[start : start + self.piece])
             return
-        from ullage.radar.simulate import simulate_stream
-
         sensing = self.scenario.sensing
         yield from simulate_stream(
             self.scene,
@@ -75,8 +80,6 @@ def prepare(scenario: Scenario, *, scene: Scene | None = None, progress: Progres
     Raises:
         InputError: the world, the flight or the radars cannot be used.
     """
-    from ullage.flight.navigation import navigate
-
     rig, scene = radars_and_world(scenario, scene)
     rate_hz = scenario.sensing.rate_hz or next(iter(rig.sensors.values())).fps
     if scenario.flight.guard.on:
@@ -110,8 +113,6 @@ def radars_and_world(scenario: Scenario, scene: Scene | None = None) -> tuple[Ri
     Raises:
         InputError: the world or the file of the radars cannot be read, or declares no radars.
     """
-    from ullage.world.load import load_scene
-
     sensing = scenario.sensing
     scene = load_world(scenario.world) if scene is None else scene
     if not sensing.is_declared:
@@ -128,9 +129,6 @@ def load_world(spec: WorldSpec) -> Scene:
     Raises:
         InputError: it is unknown or cannot be read.
     """
-    from ullage.world.library import WORLDS
-    from ullage.world.load import load_scene
-
     if bool(spec.name) == bool(spec.file):
         raise InputError("a scenario wants either world.name or world.file", where="world", allowed=", ".join(WORLDS))
     if spec.file:
@@ -149,9 +147,6 @@ def fly_scenario(scenario: Scenario, scene: Scene, *, rate_hz: float, progress: 
     Raises:
         InputError: there is no path, or a waypoint lies in a wall.
     """
-    from ullage.flight.missions import Waypoints, erratic
-    from ullage.flight.vehicle import fly
-
     spec = scenario.flight
     points = np.array(waypoints_of(spec, scenario.world, scene))
     hand = {"lateral_m": spec.wander_m, "vertical_m": spec.wander_m / 2, "yaw_deg": spec.wander_deg}
@@ -191,9 +186,6 @@ def waypoints_of(flight: FlightSpec, world: WorldSpec, scene: Scene) -> tuple[tu
     Raises:
         InputError: there are none, and the world has no space to fly.
     """
-    from ullage.flight.tour import tour
-    from ullage.world.library import WORLDS
-
     if flight.waypoints:
         return flight.waypoints
     if world.name in WORLDS:

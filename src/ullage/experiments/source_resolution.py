@@ -23,16 +23,18 @@ from ullage.experiments.simulated import Simulated, load_world, prepare, radars_
 from ullage.pipeline import LOGGER, InMemorySource, Sink, check_sink
 from ullage.pipeline import sink as open_sink
 from ullage.ports.arrays import refuse_pickle
+from ullage.ports.by_hand import HELP, Controls, FlyOptions, HandFlownSource, Keyboard
 from ullage.ports.instruments.group import LiveTarget
 from ullage.ports.live import LISTED, Address
 from ullage.ports.registry import SOURCES, reads
 from ullage.ports.registry import open as open_source
 from ullage.ports.tracked import RailSource
+from ullage.world.library import WORLDS
+from ullage.world.load import KINDS
 from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
     from ullage.experiments.exploration import Exploration
-    from ullage.ports.by_hand import Controls
 
 NOWHERE = RunFolder(Path(os.devnull))
 """Place of a run until its folder is begun; nothing can be written there."""
@@ -100,8 +102,6 @@ def check_target(target: str) -> None:
     file = path if there else Path(target.partition("?")[0])  # options of a file may follow its name
     if os.path.exists(file) and reads(file):
         return
-    from ullage.world.load import KINDS
-
     allowed = (
         f"a scenario ({', '.join(families())}), a scenario.yaml, a world ({', '.join(KINDS)}), "
         f"a recording ({SOURCES}), or a live port ({LISTED})"
@@ -118,9 +118,6 @@ def check_target(target: str) -> None:
 
 def is_world(target: str) -> bool:
     """Return whether a target is a world: a file by its suffix, or a shipped one without a scenario of its name."""
-    from ullage.world.library import WORLDS
-    from ullage.world.load import KINDS
-
     shipped = target in WORLDS and target not in scenario_names()
     return shipped or Path(split_source(target)[0]).suffix.lower() in KINDS
 
@@ -399,8 +396,6 @@ def flight_scenario(
     Raises:
         InputError: there is no such world or scenario, or an option is wrong.
     """
-    from ullage.world.library import WORLDS
-
     path = Path(split_source(target)[0])
     name = _of_now(f"{kind}-{run_name(path.stem)[:30]}")
     title = f"{'By hand in' if kind == 'fly' else 'Exploring'} {path.stem}"
@@ -433,8 +428,6 @@ def make_flight(
     Raises:
         InputError: the world, the start, a sink, or the source of commands cannot be used.
     """
-    from ullage.ports.by_hand import FlyOptions, HandFlownSource
-
     for sink in to:
         check_sink(sink)
     sensing, vehicle = scenario.sensing, scenario.flight.vehicle
@@ -480,8 +473,6 @@ def make_exploration(
 
 def _controls(by: str, scenario: Scenario, log: Callable[[str], None]) -> Controls:
     """Source of commands."""
-    from ullage.ports.by_hand import HELP, Keyboard
-
     if by == "keys":
         keyboard = Keyboard(speed_m_s=scenario.flight.speed_m_s)
         log(HELP)

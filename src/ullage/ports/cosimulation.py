@@ -31,6 +31,8 @@ from ullage.ports.live import LiveSource
 from ullage.ports.pose_events import DynamicScene, Feed, ModelPose, Notice, OtherModels
 from ullage.radar.live import LiveRadars
 from ullage.specs import MOST_BOUNCES, Rig
+from ullage.world.library import WORLDS
+from ullage.world.load import load_scene
 from ullage.world.scene import Scene
 
 BEHIND_S = 1.0
@@ -320,9 +322,6 @@ def world_of(name: str, *, where: str) -> Scene:
     Raises:
         InputError: there is no such world or file.
     """
-    from ullage.world.library import WORLDS
-    from ullage.world.load import load_scene
-
     if name in WORLDS:
         return WORLDS[name].scene()
     if not Path(name).suffix:
@@ -342,8 +341,6 @@ def rig_of(name: str, scene: Scene | None, model: str, *, where: str) -> Rig:
         return Rig.preset(name)
     if not Path(name).suffix:
         raise InputError(f"no rig {name!r}", where=where, allowed=f"{', '.join(Rig.presets)}, or an SDF or URDF file")
-    from ullage.world.load import load_scene
-
     return load_scene(name).rig(model)
 
 

@@ -32,6 +32,7 @@ from ullage.ports.live import options_of
 from ullage.ports.pose_events import BodyState, EventFeed, ModelPose, Notice, pose_of, stamp_ns
 from ullage.ports.protocol import Item
 from ullage.ports.publisher import RateLimiter
+from ullage.processing.detect import detect
 from ullage.specs import Spec
 
 FLOAT32, R_FLOAT32 = 6, 13
@@ -136,8 +137,6 @@ def _classic(frames: Frames, i: int, stamp: tuple[int, int], range_m: float) -> 
 
 def nearest(frames: Frames) -> Floats:
     """Return the range of the first detection of each frame (n) [m]; infinite if there is none."""
-    from ullage.processing.detect import detect
-
     out = np.full(len(frames), np.inf)
     found = detect(replace(frames, poses=None, truth=None))
     np.minimum.at(out, found.frame, found.range_m)

@@ -27,6 +27,7 @@ from ullage.ports.intake import PATIENCE_S, Log
 from ullage.ports.live import options_of
 from ullage.ports.pose_events import ModelPose, Notice, OtherModels, path_through, stamp_ns
 from ullage.ports.scanning import Scan, ScanSource, scan_of
+from ullage.world.load import load_scene
 from ullage.world.scene import Scene
 
 WORLD = re.compile(r"/world/([^/]+)/")
@@ -77,8 +78,6 @@ def scene_of(message: Any, *, where: str) -> Scene:
     Raises:
         InputError: a shape is not valid, for example a mesh that is not on the search path.
     """
-    from ullage.world.load import load_scene
-
     with tempfile.TemporaryDirectory(prefix="ullage-scene-") as folder:
         path = Path(folder) / "scene.sdf"
         path.write_text(sdf_of(message), encoding="utf-8")

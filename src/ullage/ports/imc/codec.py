@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.errors import InputError
+from ullage.kernels import checksum
+from ullage.kernels.checksum import crc16, powers
 from ullage.ports.imc.table import HELD, VERSION, Field, Kind, Table, own
 
 SYNC = 0xFE00 | VERSION[0] << 4 | VERSION[1]
@@ -118,8 +120,6 @@ def encode(packet: Packet, *, big: bool = False, table: Table | None = None) -> 
 
 def crc(data: bytes) -> int:
     """Return the CRC-16/ARC that IMC calls CRC-16-IBM; the standard library has no such CRC."""
-    from ullage.kernels.checksum import crc16
-
     return int(crc16(np.frombuffer(data, np.uint8), 0))
 
 
@@ -304,8 +304,6 @@ def _around(kind: Kind, payload: bytes, big: bool, table: Table, at: int) -> Mes
 
 @lru_cache(maxsize=1)
 def _powers() -> NDArray[np.uint16]:
-    from ullage.kernels.checksum import powers
-
     out = np.zeros(HEAD + MOST + 1, np.uint16)
     powers(out)
     return out
@@ -345,8 +343,6 @@ class Parser:
         yield from self._find_packets(end=True)
 
     def _find_packets(self, *, end: bool) -> Iterator[Packet]:
-        from ullage.kernels import checksum
-
         held = bytes(self._held)
         data = np.frombuffer(held, np.uint8)
         crcs = np.empty(len(data) + 1, np.uint16)

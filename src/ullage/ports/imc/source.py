@@ -9,17 +9,20 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
+from ullage.flight.missions import Waypoints
 from ullage.ports.cosimulation import rig_of, world_of
 from ullage.ports.drone import Drone, DroneOptions, Guided, Limits
 from ullage.ports.imc.assemble import FrameAssembler, Track
+from ullage.ports.imc.backseat import Backseat
 from ullage.ports.imc.broker import passed
 from ullage.ports.imc.codec import Packet
+from ullage.ports.imc.helm import Helm, Simulated, Vehicle
 from ullage.ports.imc.link import Link, Role, leave, open_link
 from ullage.ports.imc.options import PoseOptions, SourceOptions
 from ullage.ports.imc.wires import Entity, Identity
@@ -28,11 +31,7 @@ from ullage.ports.live import Address, LiveSource, point_of
 from ullage.ports.ned import TRONDHEIM
 from ullage.ports.pose_events import BodyState
 from ullage.ports.protocol import pieces
-
-if TYPE_CHECKING:
-    from ullage.ports.imc.backseat import Backseat
-    from ullage.ports.imc.helm import Helm, Vehicle
-    from ullage.radar.live import LiveRadars
+from ullage.radar.live import LiveRadars
 
 
 class ImcSource(LiveSource):
@@ -98,8 +97,6 @@ class ImcSource(LiveSource):
 
     def _vehicle(self, start: tuple[float, ...]) -> Vehicle:
         """Open our own multirotor or an external drone."""
-        from ullage.ports.imc.helm import Simulated
-
         o = self._options
         address = Address.of(o.fly)
         if address is None:
@@ -113,15 +110,10 @@ class ImcSource(LiveSource):
         return Guided(drone, o.takes, Limits(level_m_s=o.limit_m_s), log=self._log)
 
     def _take_off(self, vehicle: Vehicle) -> Helm:
-        from ullage.ports.imc.helm import Helm
-
         home = self._track.origin = self._options.place() or TRONDHEIM
         return Helm(vehicle, self._link, home, self._options, log=self._log, take=self._relay, passing=self.passing)
 
     def _lead_vehicle(self, points: list[tuple[float, ...]]) -> Backseat:
-        from ullage.flight.missions import Waypoints
-        from ullage.ports.imc.backseat import Backseat
-
         o = self._options
         mission = Waypoints(np.array(points), speed_m_s=o.speed_m_s)
         return Backseat(self._link, mission, z=o.z, near_m=o.near_m, log=self._log)

@@ -25,6 +25,7 @@ from ullage.ports.pose_events import BodyState
 from ullage.ports.publisher import Message
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions
+from ullage.world.library import WORLDS
 
 
 class ControlOptions(NodeOptions):
@@ -156,8 +157,6 @@ def open_flight(namespace: str, options: TopicFlyOptions, *, log: Log | None = N
         InputError: there is no such world, rig or start, or an option is of no use.
         MissingExtra: there is no rclpy.
     """
-    from ullage.world.library import WORLDS
-
     where = f"ros2:{namespace}"
     scene, rig = world_and_rig(options.fly, options, where=where)
     start = options.place() or (tuple(WORLDS[options.fly].start) if options.fly in WORLDS else None)
