@@ -146,7 +146,7 @@ class QuietestFrames(flow.Stage):
         return {name: part for name, (_, part) in self._best.items()}
 
 
-EVERY_S = 60.0
+MAP_EVERY_S = 60.0
 """Between two maps that are saved while a run goes on [s]."""
 PICTURE_S = 10.0
 """A run that takes longer draws a picture of its map this long after its start [s]."""
@@ -164,7 +164,7 @@ class MapSaver(flow.Sink):
 
     gathers: ClassVar[bool] = True
     folder: Path
-    every_s: float = EVERY_S
+    every_s: float = MAP_EVERY_S
     draw: Callable[[OccupancyMap], None] | None = None
     _saved_s: float = -float("inf")
     _started_s: float = field(init=False)
@@ -199,7 +199,7 @@ def write_map_files(folder: Path, omap: OccupancyMap) -> None:
         write_ply(omap, folder / "map.ply")
 
 
-FIELDS = (
+OBSTACLE_FIELDS = (
     "t_s",
     "sensor",
     "distance_m",
@@ -252,7 +252,7 @@ class ObstacleTable(flow.Sink):
             if self._file is None:
                 self._file = path.open("w", encoding="utf-8", newline="")
                 self._rows = csv.writer(self._file, lineterminator="\n")
-                self._rows.writerow(FIELDS)
+                self._rows.writerow(OBSTACLE_FIELDS)
             self._rows.writerows(self._taken(item, k) for k in range(len(item)))
 
     def close(self) -> None:

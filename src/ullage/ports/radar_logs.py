@@ -260,10 +260,10 @@ def _map(path: Path, size: int, header: tuple[tuple[str, str], ...], bins: int) 
     return table[:good]
 
 
-CENTER_HZ, DECIMATION, LEAST_BINS = 60.5e9, 8, 8
-WIDTH_M = {"PROFILE_1": 0.04, "PROFILE_2": 0.07, "PROFILE_3": 0.14, "PROFILE_4": 0.19, "PROFILE_5": 0.32}
+A121_CENTER_HZ, DECIMATION, LEAST_BINS = 60.5e9, 8, 8
+A121_WIDTH_M = {"PROFILE_1": 0.04, "PROFILE_2": 0.07, "PROFILE_3": 0.14, "PROFILE_4": 0.19, "PROFILE_5": 0.32}
 """Full width at half maximum of the envelope over range, for each profile [m] [AcconeerET]."""
-BAND = 0.569
+A121_BAND = 0.569
 """-10 dB bandwidth of a Gaussian pulse, times its width over range, over the speed of light."""
 MOST_BYTES = 2_000_000_000
 SESSIONS = {"session", "sessions"}
@@ -301,7 +301,7 @@ def subsweep_fields(one: Mapping[str, Any], base_m: float) -> dict[str, Any]:
         base_m: range of one step [m].
     """
     return {
-        "name": "a121", "center_hz": CENTER_HZ, "bandwidth_hz": BAND * C0 / WIDTH_M[one["profile"]],
+        "name": "a121", "center_hz": A121_CENTER_HZ, "bandwidth_hz": A121_BAND * C0 / A121_WIDTH_M[one["profile"]],
         "decimation": DECIMATION, "sampling_hz": DECIMATION * C0 / (2 * base_m * int(one["step_length"])),
         "range_start_m": base_m * int(one["start_point"]), "iterations": 1, "pulses_per_step": int(one["hwaas"]),
     }  # fmt: skip
