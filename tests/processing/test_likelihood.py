@@ -18,6 +18,7 @@ from ullage.processing.likelihood.echoes import gains_of
 from ullage.processing.likelihood.mapper import LikelihoodMapper
 from ullage.processing.likelihood.poses import AperturePoses
 from ullage.processing.likelihood.spec import LikelihoodSpec
+from ullage.processing.likelihood.surfaces import smoothed
 from ullage.processing.occupancy import Mapper
 
 RIG = ul.Rig.preset("thesis-4").sensors
@@ -739,3 +740,15 @@ def test_percentiles_of_groups_are_those_of_numpy(values: list[tuple[int, float]
     levels = np.array([level for _, level in values])
     one_by_one = [np.percentile(levels[group == name], percent) for name in range(group.max() + 1)]
     assert _percentiles(levels, group, percent).tolist() == one_by_one
+
+
+def test_a_sighting_that_its_surface_does_not_predict_keeps_the_doubt_of_its_time():
+    tracker = mapped(flown(curve(), wall(90, 2.0)))._tracker
+    surface = max(tracker.confirmed(), key=lambda one: len(one.sightings))
+    key, *_ = surface.sightings
+    then = replace(surface.sightings[key], state=(3.5, 1.0, 0.0, 1.0), bearing_sigma=0.3)
+    surface.sightings[key] = then
+    state, (_, bearing_sigma) = smoothed(surface)
+    assert bearing_sigma[0] == 0.3
+    assert (bearing_sigma[1:] == np.sqrt(surface.covariance[1, 1])).all()
+    assert state[0].tolist() == list(then.state)

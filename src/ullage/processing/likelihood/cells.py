@@ -79,7 +79,7 @@ def render(
     body = _body(grid, flown, spec.vehicle_m)
     percent[body] = 0
     if surfaces:
-        views, owner, cut, wide = _views(grid, surfaces, wavelength_m, fold_m, spec)
+        views, owner, cut, (wide, doubt) = _views(grid, surfaces, wavelength_m, fold_m, spec)
         sloped = np.array([one.sloped for one in surfaces])
         false = _flown_through(views, owner, flown)
         possible = (cut[0] | ~sloped[owner]) & ~false[owner]
@@ -92,7 +92,6 @@ def render(
         likely = shown & (solid >= LIKELY)
         slopes = (sloped & ~false)[owner]
         clearance = _clearance(views, owner)
-        doubt = np.sqrt([one.covariance[1, 1] for one in surfaces])[owner]
         extended = _extensions(plane, views, alive, spec.extension_m)
         ends = evidence.copy()
         draw_surfaces(plane, views, doubtful, ends, level)
@@ -223,15 +222,16 @@ def _body(grid: Grid, flown: Floats, radius_m: float) -> Longs:
 
 def _views(
     grid: Grid, surfaces: list[Surface], wavelength_m: float, fold_m: float, spec: LikelihoodSpec
-) -> tuple[Views, Longs, Bools, Floats]:
-    """All sightings as rows, the surface of each, where the plane cuts lying cylinders, and widths in Fresnel zones.
+) -> tuple[Views, Longs, Bools, tuple[Floats, Floats]]:
+    """All sightings as rows, the surface of each, where the plane cuts lying cylinders, and two numbers of each row.
 
-    The flags (2, k) are: the cut is confirmed, and the surface may go on to there.
+    These are its width in Fresnel zones and the standard deviation of its bearing [rad].
 
-    A folded echo shows the surface that it comes from, at its true range.
+    The flags (2, k) are: the cut is confirmed, and the surface may go on to there. A folded echo shows the surface that
+    it comes from, at its true range.
     """
     states, sigmas = zip(*(smoothed(one) for one in surfaces), strict=True)
-    state, sigma = np.concatenate(states), np.concatenate(sigmas)
+    state, (sigma, doubt) = np.concatenate(states), np.concatenate(sigmas, axis=1)
     seen = [one for surface in surfaces for one in surface.sightings.values()]
     owner = np.repeat(np.arange(len(surfaces)), [len(one.sightings) for one in surfaces])
     place, level = np.array([one.position for one in seen]), np.array([one.level for one in seen])
@@ -240,8 +240,8 @@ def _views(
     level[far] *= 1 + fold_m / state[far, 0]
     state[far, 0] += fold_m
     weight = np.minimum(np.array([one.nats for one in seen]) / FULL_NATS, 1.0)
-    rows, cut = _cut(_Rows(place, state, sigma, owner, level, weight), surfaces, grid, spec)
-    place, state, sigma, owner, level, weight = rows
+    rows, cut = _cut(_Rows(place, state, sigma, owner, level, weight, doubt), surfaces, grid, spec)
+    place, state, sigma, owner, level, weight, doubt = rows
     range_m, curvature = state[:, 0], state[:, 2]
     flatness = 1 - curvature * range_m  # by which the specular point moves as the sensor moves: 1 for a flat wall
     narrowed = np.maximum(np.abs(flatness) - DOUBT * sigma * range_m, 0)
@@ -252,7 +252,7 @@ def _views(
     steep = np.abs(flatness) > 0.2
     bend = np.where(steep, curvature / np.where(steep, flatness, 1.0), 0.0)
     bend = np.clip(bend, -1 / LEAST_RADIUS_M, 1 / LEAST_RADIUS_M)
-    return Views(place, np.ascontiguousarray(state), wide * half, bend, level, weight), owner, cut, wide
+    return Views(place, np.ascontiguousarray(state), wide * half, bend, level, weight), owner, cut, (wide, doubt)
 
 
 def steadiness(foot: Floats, level: Floats) -> Floats:
@@ -277,6 +277,7 @@ class _Rows(NamedTuple):
     owner: Longs  # (k) surface
     level: Floats  # (k) amplitude times range [m]
     weight: Floats  # (k)
+    doubt: Floats  # (k) standard deviation of the bearing [rad]
 
 
 def _cut(rows: _Rows, surfaces: list[Surface], grid: Grid, spec: LikelihoodSpec) -> tuple[_Rows, Bools]:
@@ -294,7 +295,7 @@ def _cut(rows: _Rows, surfaces: list[Surface], grid: Grid, spec: LikelihoodSpec)
         states.append(cut.state[count:])
         flags.append(np.stack([cut.confirmed[count:], cut.possible[count:]]))
     row = np.concatenate(sources)
-    rest = sigma[row], rows.owner[row], level[row], rows.weight[row]
+    rest = sigma[row], rows.owner[row], level[row], rows.weight[row], rows.doubt[row]
     return _Rows(rows.place[row], np.concatenate(states), *rest), np.concatenate(flags, axis=1)
 
 

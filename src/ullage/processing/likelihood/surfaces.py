@@ -51,13 +51,14 @@ class Sighting:
 
     position: tuple[float, float]  # of the keyframe [m]
     state: tuple[float, float, float, float]  # range [m], bearing [rad], curvature [1/m], cosine of the elevation
+    bearing_sigma: float  # of that bearing [rad]
     level: float  # amplitude times range, over the antenna's gain [m]
     nats: float
     share: float = 1.0  # of a full echo that the views of this place have counted
     odds: float = 0.0  # log-odds that they gave
 
 
-NOTHING = Sighting((0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+NOTHING = Sighting((0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(slots=True, eq=False)
@@ -361,8 +362,9 @@ class SurfaceTracker:
         share = min(fresh, 1.0 - before.share)
         gained = share * (nats - spec.echo_cost)
         surface.log_odds += gained
+        sigma = math.sqrt(surface.covariance[1, 1])
         counted = before.share + share, before.odds + gained
-        surface.sightings[key] = Sighting((x, y), state, float(echoes.level[echo]), nats, *counted)
+        surface.sightings[key] = Sighting((x, y), state, sigma, float(echoes.level[echo]), nats, *counted)
 
     def _taken(self, surface: Surface, key: tuple[int, ...]) -> Sighting:
         """Take a specular point from the surface that showed it before: one view of one place is one reflector.
@@ -431,8 +433,10 @@ def _explained(surface: Surface, other: Surface) -> list[tuple[int, ...]]:
 def smoothed(surface: Surface) -> tuple[Floats, Floats]:
     """States of a surface at all its sightings, by what is known of it in the end where that fits.
 
+    Else they are as they were at the time of the sighting.
+
     Returns:
-        States (k, 4), and the standard deviation of each curvature (k) [1/m].
+        States (k, 4), and the standard deviations (2, k) of curvature [1/m] and bearing [rad].
     """
     seen = list(surface.sightings.values())
     place, state = np.array([one.position for one in seen]), np.array([one.state for one in seen])
@@ -441,7 +445,9 @@ def smoothed(surface: Surface) -> tuple[Floats, Floats]:
     back[:, 1] += np.where(back[:, 3] < 0, np.pi, 0.0)
     back[:, 3] = np.abs(back[:, 3])
     fits = np.abs(back[:, 0] - state[:, 0]) < (LYING_CONSISTENT_M if surface.lying else CONSISTENT_M)
-    sigma = np.where(fits, math.sqrt(surface.covariance[2, 2]), UNFIT_SIGMA)
+    now = np.sqrt(np.diag(surface.covariance))[[2, 1], None]
+    then = np.array([(UNFIT_SIGMA, one.bearing_sigma) for one in seen]).T
+    sigma = np.where(fits, now, then)
     out = np.where(fits[:, None], back, state)
     if not surface.sloped:
         out[:, 3] = 1.0
