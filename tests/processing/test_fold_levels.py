@@ -73,6 +73,13 @@ def test_a_louder_echo_where_the_fold_would_be_says_nothing_of_it() -> None:
     assert np.isnan(found[1]).any()
 
 
+@pytest.mark.parametrize("before_m", [AXIS_M[0] - 1.0, AXIS_M[0] - 0.1, AXIS_M[-1] + 0.1, AXIS_M[-1] + 1.0])
+def test_an_obstacle_that_was_outside_the_profile_before_predicts_no_level(before_m: float) -> None:
+    """As of a fast track after a gap between frames."""
+    level = profile([(3.0, 15.0)])
+    assert errors_of(SPEC, 1, (3.0, before_m), (level, level), AXIS_M, 0.3) is None
+
+
 def test_one_pulse_interval_has_no_such_evidence() -> None:
     level = profile([(3.0, 20.0)])
     assert errors_of(SPEC.but(stagger_div=None), 1, (3.0, 3.0), (level, level), AXIS_M, 0.3) is None

@@ -56,7 +56,7 @@ def errors_of(
     axis_m: Floats,
     blind_m: float,
 ) -> tuple[float, Floats] | None:
-    """Compute by how much obstacle and folds err on the level in the frame before; None: only one pulse interval.
+    """Compute by how much obstacle and folds err on the level in the frame before.
 
     Args:
         spec: of the radar.
@@ -67,9 +67,10 @@ def errors_of(
         blind_m: nothing is detected below this [m].
 
     Returns:
-        The obstacle's error and those of the folds (2 FOLDS) [dB], NaN where the fold was not in the frame.
+        The obstacle's error and those of the folds (2 FOLDS) [dB], NaN where the fold was not in the frame; None: there
+        is only one pulse interval, or the obstacle was outside the profile before.
     """
-    if spec.stagger_div is None:
+    if spec.stagger_div is None or not axis_m[0] <= here_m[1] <= axis_m[-1]:
         return None
     jump_m = (spec.stagger_div / spec.prf_div - 1) * spec.unambiguous_range_m
     here = _level(level_db[0], axis_m, here_m[0])
