@@ -85,6 +85,17 @@ def test_timesync_works_both_ways(link_to: Opened) -> None:
         until(lambda: np.min(np.abs(np.array([*autopilot.offsets, 0]) + boot_ns)) < 20e6)
 
 
+def test_a_step_of_the_clock_is_asked_about_at_once(link_to: Opened, said: list[str]) -> None:
+    """Poses wait until it is known again: it must not take several of the slow questions, of one a heartbeat."""
+    with Autopilot() as autopilot:
+        link = link_to(f"udp://127.0.0.1:{autopilot.port}")
+        until(lambda: link.clock.known)
+        autopilot.restart(10**9)
+        before = len(autopilot.of("HEARTBEAT"))
+        until(lambda: any("jumped +1 s" in line for line in said) and link.clock.known)
+        assert len(autopilot.of("HEARTBEAT")) - before <= 2
+
+
 def test_answers_to_the_questions_of_others_are_not_used(link_to: Opened) -> None:
     with Autopilot(timesync=False) as autopilot:
         link = link_to(f"udp://127.0.0.1:{autopilot.port}")

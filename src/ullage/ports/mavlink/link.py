@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -25,7 +26,7 @@ OTHERS = "other messages"
 TICK_S = 0.02
 HEARTBEAT_S = 1.0
 ASK_S, ASK_OFTEN_S = 1.0, 0.1
-"""Between two TIMESYNC questions [s], and while the offset is not known yet."""
+"""Between two TIMESYNC questions [s], and while the offset is not known or the latest answer does not fit."""
 REQUEST_S = 5.0
 """Between two requests for poses, while none come [s]."""
 MOST_SENDERS = 16
@@ -78,6 +79,11 @@ class ClockOffset:
     def known(self) -> bool:
         """Whether there were enough exchanges."""
         return self._line is not None
+
+    @property
+    def settled(self) -> bool:
+        """Whether it is known and the latest exchange fits."""
+        return self._line is not None and not self._odd
 
     @property
     def drift_ppm(self) -> float:
@@ -178,7 +184,7 @@ class Link(Closing):
         self._questions: list[int] = []
         self._other_systems: set[int] = set()  # systems with an autopilot that is not ours
         self._once = Once(log)
-        self._due_s = {"heartbeat": 0.0, "question": 0.0, "request": 0.0}
+        self._sent_s = dict.fromkeys(("heartbeat", "question", "request"), -math.inf)
         self._lock = threading.Lock()
         self._met = threading.Event()
         self._closing = threading.Event()
@@ -350,7 +356,7 @@ class Link(Closing):
         there = self.autopilot
         if there is None:
             return
-        if self._is_due("question", now, ASK_S if self.clock.known else ASK_OFTEN_S):
+        if self._is_due("question", now, ASK_S if self.clock.settled else ASK_OFTEN_S):
             asked = time.monotonic_ns()
             self._questions = [*self._questions[1 - QUESTIONS :], asked]
             self.send(self.dialect.MAVLink_timesync_message(0, asked))
@@ -364,9 +370,9 @@ class Link(Closing):
             )
 
     def _is_due(self, what: str, now: float, every_s: float) -> bool:
-        if now < self._due_s[what]:
+        if now < self._sent_s[what] + every_s:
             return False
-        self._due_s[what] = now + every_s
+        self._sent_s[what] = now
         return True
 
     def _request(self, there: Autopilot, rate_hz: float) -> None:
