@@ -191,6 +191,7 @@ class Pilot:
         self.estimate: list[tuple[float, float, float, float]] = []
         self.texts: list[str] = []
         self.armed, self.mode = False, -1
+        self.clock: list[tuple[float, float]] = []  # of this machine, and of the autopilot [s]
         self._beat_s = 0.0
 
     def fly(self, seconds: float, send: Send | None = None, *, until: Callable[[], bool] = lambda: False) -> bool:
@@ -218,6 +219,7 @@ class Pilot:
             self.truth.append((time.monotonic(), east, north, message.alt - HOME[2]))
         elif kind == "LOCAL_POSITION_NED":
             self.estimate.append((time.monotonic(), message.y, message.x, -message.z))
+            self.clock.append((time.monotonic(), message.time_boot_ms * 1e-3))
 
     @property
     def at(self) -> tuple[float, float, float]:
@@ -228,7 +230,7 @@ class Pilot:
         """Send a COMMAND_LONG."""
         self.mav.mav.command_long_send(1, 1, number, 0, *values, *[0.0] * (7 - len(values)))
 
-    def take_off(self) -> str:
+    def take_off(self, height_m: float = HEIGHT_M) -> str:
         """Arm and climb; why that failed."""
         if not self.fly(READY_S, until=lambda: self.mode >= 0):
             return "no HEARTBEAT"
@@ -247,8 +249,8 @@ class Pilot:
             return f"not armed: {[text for text in self.texts if 'Arm' in text][-1:]}"
         self.texts.clear()
         for _ in range(5):
-            self.command(22, 0, 0, 0, 0, 0, 0, HEIGHT_M)
-            if self.fly(6.0, until=lambda: self.at[2] > 0.9 * HEIGHT_M):
+            self.command(22, 0, 0, 0, 0, 0, 0, height_m)
+            if self.fly(6.0, until=lambda: self.at[2] > 0.9 * height_m):
                 self.fly(4.0)
                 return ""
         return "did not climb"
@@ -295,6 +297,18 @@ def free_port() -> int:
         return int(sock.getsockname()[1])
 
 
+def simulator(
+    binary: Path, folder: str, parameters: dict[str, float], gcs: int, radars: int, out: Any
+) -> subprocess.Popen[bytes]:
+    """Start ArduCopter in a folder, with links to two loopback ports."""
+    Path(folder, "own.parm").write_text("".join(f"{name} {value}\n" for name, value in parameters.items()))
+    home = ",".join(str(value) for value in (*HOME, 90))
+    words = [str(binary), "--model", "quad", "--home", home, "--speedup", "1", "--wipe", "--defaults", "own.parm",
+             "--serial0", f"udpclient:127.0.0.1:{gcs}", "--serial1", f"udpclient:127.0.0.1:{radars}",
+             "--base-port", str(free_port()), "--rc-in-port", str(free_port())]  # fmt: skip
+    return subprocess.Popen(words, cwd=folder, stdout=out, stderr=out, env=os.environ)
+
+
 def flown(binary: Path, flight: Flight, do: str, push_s: float) -> str:
     """Fly once, fill in what was seen, and return the lines of ullage."""
     case, gcs, radars = CASES[flight.case], free_port(), free_port()
@@ -308,23 +322,18 @@ def flown(binary: Path, flight: Flight, do: str, push_s: float) -> str:
         if rig.startswith("<"):
             rig = str(Path(folder, "rig.sdf"))
             Path(rig).write_text(sdf(case.rig))
-        Path(folder, "own.parm").write_text("".join(f"{name} {value}\n" for name, value in parameters.items()))
-        home = ",".join(str(value) for value in (*HOME, 90))
         place = f"mavlink:udpin://127.0.0.1:{radars}"
         ours = [sys.executable, "-m", "ullage", "run", f"{place}?world={world}&rig={rig}&wait_s=300",
                 "--to", f"{place}?{flight.options}", "--out", folder, *(["--do", do] if do else [])]  # fmt: skip
-        theirs = [str(binary), "--model", "quad", "--home", home, "--speedup", "1", "--wipe", "--defaults", "own.parm",
-                  "--serial0", f"udpclient:127.0.0.1:{gcs}", "--serial1", f"udpclient:127.0.0.1:{radars}",
-                  "--base-port", str(free_port()), "--rc-in-port", str(free_port())]  # fmt: skip
         started = []
         try:
             with log.open("w") as out, Path(folder, "ardupilot.log").open("w") as own:
-                started.append(subprocess.Popen(theirs, cwd=folder, stdout=own, stderr=own, env=os.environ))
+                started.append(simulator(binary, folder, parameters, gcs, radars, own))
                 started.append(subprocess.Popen(ours, stdout=out, stderr=out))
                 _fly_case(flight, case, Pilot(gcs), started[1], push_s)
         finally:
             for one in started:
-                _ended(one)
+                end(one)
         lines = log.read_text()
         flight.late = sum(int(count) for count in re.findall(r"OBSTACLE_DISTANCE: .*?(\d+) late", lines))
         ages = re.search(r"frame to message (\d+) ms \(median\), (\d+) ms", lines)
@@ -334,7 +343,8 @@ def flown(binary: Path, flight: Flight, do: str, push_s: float) -> str:
     return lines
 
 
-def _ended(process: subprocess.Popen[bytes]) -> None:
+def end(process: subprocess.Popen[bytes]) -> None:
+    """End a program."""
     process.terminate()
     try:
         process.wait(30)

@@ -67,16 +67,20 @@ def _empty(name: str, rig: Rig, body: Trajectory) -> Frames:
     return Frames(samples, spec.range_m, body.t_ns, spec, poses, poses, name, "path_gain")
 
 
-def closest_m(scene: Scene, flown: Trajectory, vehicle: str) -> float:
-    """Return the least distance between the hull, an ellipsoid, and any surface along a flight [m]."""
+def clearances_m(scene: Scene, flown: Trajectory, vehicle: str) -> Floats:
+    """Return the least distance (n) between the hull, an ellipsoid, and any surface at each pose [m]; < 0: inside."""
     hull, parts = airframe(vehicle), bodies(scene)
     squash = hull.radius_m / hull.half_height_m
     gaps = [
-        float(part.gaps(into(part, point, int(t_ns)), 1.0, squash=squash)[1].min(initial=np.inf))
+        min(float(part.gaps(into(part, point, int(t_ns)), 1.0, squash=squash)[1].min(initial=np.inf)) for part in parts)
         for point, t_ns in zip(flown.position, flown.t_ns, strict=True)
-        for part in parts
     ]
-    return min(gaps) - hull.radius_m
+    return np.array(gaps) - hull.radius_m
+
+
+def closest_m(scene: Scene, flown: Trajectory, vehicle: str) -> float:
+    """Return the least of these distances along a flight [m]."""
+    return float(clearances_m(scene, flown, vehicle).min())
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,15 +104,16 @@ def judge(
     """
     plan, flown = flight.loop.scenario.flight, flight.flown
     length_m = float(np.linalg.norm(np.diff(flown.position, axis=0), axis=1).sum())
-    gap_m, touched = closest_m(scene, flight.aloft, plan.vehicle), flight.contacts
+    gap_m = closest_m(scene, flight.aloft, plan.vehicle)
+    touched = f", with {len(flight.contacts)} contacts" if flight.loop.vehicle is None else " by its reported poses"
     metrics = [
         Metric("flight_length", length_m, "m"),
         Metric("closest_approach", gap_m, "m"),
-        Metric("contacts", len(touched)),
+        *([Metric("contacts", len(flight.contacts))] if flight.loop.vehicle is None else []),
         Metric("guard_stops", 100 * float(np.mean([state in ("stop", "back_off") for state in flight.states])), "%"),
     ]
-    far, times = f"{length_m:.1f} m in {flown.duration_s:.0f} s", f"{len(touched)} contacts"
-    lines = [flight.summary(), f"It flew {far} and came within {gap_m:.2f} m of a surface, with {times}."]
+    far = f"{length_m:.1f} m in {flown.duration_s:.0f} s"
+    lines = [flight.summary(), f"It flew {far} and came within {gap_m:.2f} m of a surface{touched}."]
     if (by := of_flight(flight.loop.poses, flown)) is not None:
         words, scores = by.report()
         lines, metrics = [*lines, *words], [*metrics, *scores]

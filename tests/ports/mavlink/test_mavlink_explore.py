@@ -224,6 +224,8 @@ def test_ctrl_c_leaves_the_copter_hovering_and_a_run_that_can_be_read(
     verdict = (folder / "verdict.txt").read_text()
     assert "The flight ended by hand" in verdict
     assert "An aircraft flew it, its radars simulated at its reported poses" in verdict
+    assert "of a surface by its reported poses." in verdict  # it cannot know of contacts
+    assert "contacts" not in verdict
     assert len(ul.open(folder / "frames.mcap").frames()) == 4
 
 
