@@ -9,6 +9,7 @@ from scipy.special import fresnel
 
 import ullage as ul
 from ullage.radar.physical import echoes
+from ullage.world.library import WORLDS
 
 RADAR = ul.RadarSpec.preset("x4m05", noise=None, antenna={"kind": "isotropic"})
 HERE = ul.Trajectory.stationary((0, 0, 0))
@@ -101,3 +102,11 @@ def test_a_rod_before_a_wall_leaves_what_kirchhoff_leaves(width_m, turn_deg):
 def test_a_wall_behind_a_slit_is_that_of_kirchhoff(width_m, turn_deg):
     half, slit = width_m / 2, (strip(-3, -width_m / 2, turn_deg), strip(width_m / 2, 3, turn_deg))
     assert abs(wall_behind(*slit) - reference([-half, half])) < 0.03
+
+
+def test_an_antenna_almost_in_the_plane_of_a_plate_has_an_echo():
+    """As on an aircraft that lands: from there some silhouettes lie behind the plate that they would shade."""
+    heights_m = 0.25 + np.linspace(-1e-3, 1e-3, 9)  # of the ballast tank's floor, between its stiffeners
+    for seat in ((-6.4097, -0.0145), (-6.28, 0.05), (-6.35, 0.07)):
+        path = ul.Trajectory(np.arange(9), [(*seat, height) for height in heights_m], np.tile([0, 0, 0, 1.0], (9, 1)))
+        assert np.isfinite(echoes(WORLDS["ballast-tank"].scene(), path, RADAR)).all()

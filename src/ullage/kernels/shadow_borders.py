@@ -13,6 +13,8 @@ from ullage.kernels.shadows import ShadowBorders
 
 STEPS = 32
 """So many triangles of a surface are followed at the most to the end of its shadow."""
+ROUNDING = 1e-9
+"""A silhouette may lie so far behind its shadow, over the distance of that: it lies on the face."""
 
 
 class Directions(NamedTuple):
@@ -278,6 +280,8 @@ def _normal_to(ends: ShadowEnds, b: int, directions: Directions, i: int, out: Fl
 def place_borders(directions: Directions, cells: BorderCells, ends: ShadowEnds, borders: ShadowBorders) -> None:
     """Place borders within their cells: where the surface that hides the dark side stops to hide, else in the middle.
 
+    A silhouette behind its shadow, as an eye almost in the plane of a face may find, is none.
+
     Args:
         directions: `Directions` (k, n, c).
         cells: `BorderCells` (b).
@@ -289,7 +293,7 @@ def place_borders(directions: Directions, cells: BorderCells, ends: ShadowEnds, 
         i, a, slot = cells.point[b], cells.direction[b], cells.slot[b]
         reach, ratio = ends.reach[b], ends.ratio[b]
         normal, slack = borders.normals[i, a, slot], 1e-3 * (cells.high[b] - cells.low[b])
-        if cells.low[b] - slack <= reach <= cells.high[b] + slack:
+        if 0 <= ratio <= 1 + ROUNDING and cells.low[b] - slack <= reach <= cells.high[b] + slack:
             _normal_to(ends, b, directions, i, normal)
             x = turn[a, 0] * turn[0, 0] + turn[a, 1] * turn[0, 1]
             y = turn[a, 1] * turn[0, 0] - turn[a, 0] * turn[0, 1]
