@@ -62,13 +62,13 @@ def test_an_explored_flight_s_contacts_are_those_of_the_true_place_before_it_lan
     x[50:100], x[150:200] = 2.8, 2.3  # in the wall at 3 m once, with a hull of 0.40 m; then 0.3 m from it
     truth = np.stack([times, x, 0 * x, np.where(times < 25, 0.0, -1.4)], axis=1)
     estimate = truth + np.array([0.0, 0.1, 0.0, 0.0])
-    verdict = "The flight ended on the ground at home: x. Set-points left 40 ms (median) and 90 ms (99 %) after"
+    verdict = "map and image were up to 1.3 s behind\nSet-points left 40 ms (median) and 90 ms (99 %) after"
     seen = autopilot.Flown(truth, estimate, 1.0, {"duration": 30.0, "explored": 0.5}, verdict, "", "")
     row = autopilot.row_of(room, seen, 2.0)
     contacts, closest = row[2].split("; ")
     assert contacts == "1"
     assert float(closest) == pytest.approx(0.2 - 0.4, abs=0.01)
-    assert row[3] == "0.10; 0.10"
-    assert row[4] == "40; 90"
-    assert row[5] == "2.0; on the ground at home: x"
+    assert row[3] == "40; 90"
+    assert row[4] == "2.0; 1.3"
+    assert autopilot.pose_error_m(seen) == pytest.approx(0.1)
     assert len(row) == len(autopilot.HEADER) - 1
