@@ -198,7 +198,7 @@ def test_a_clock_that_is_set_back_does_not_stop_the_stream(autopilot: Autopilot,
         out.write(around(999.99))  # late
         out.write(around(1.0))  # set back
         out.write(replace(around(1.1)))
-    assert [one.time_usec // 1000 for one in autopilot.of("OBSTACLE_DISTANCE")] == [1_000_000, 1000, 1100]
+    assert [one.time_usec // 1000 for one in autopilot.await_("OBSTACLE_DISTANCE", 3)] == [1_000_000, 1000, 1100]
 
 
 @pytest.mark.parametrize("late_s", [2.0, 100.0])
