@@ -64,7 +64,7 @@ def flown(binary: Path, world: str, seed: int, seconds: float, ends: str, runs: 
     """Fly once.
 
     Raises:
-        RuntimeError: the simulator does not take off, or ullage does not wait for it.
+        RuntimeError: the simulator does not take off, or ullage does not wait for it, fails or does not end.
     """
     scene, (x, y, z) = WORLDS[world].scene(), np.array(WORLDS[world].start)[:3]
     over_m = float(Raycaster(scene).distances(np.array([[x, y, z]]), np.array([[0.0, 0.0, -1.0]]))[0])
