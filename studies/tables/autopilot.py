@@ -74,7 +74,7 @@ def flown(binary: Path, world: str, seed: int, seconds: float, ends: str, runs: 
     words = [sys.executable, "-m", "ullage", "explore", world, "--vehicle", place, "--time", f"{seconds:g}", "--seed",
              str(seed), "--out", str(runs), "-o", f"flight.speed_m_s={SPEED_M_S}", "-o", f"sensing.rate_hz={RATE_HZ}",
              "-o", "sensing.max_bounces=1"]  # fmt: skip
-    log, started = runs / f"{world}-{seed}-{ends}.log", []
+    log, started = runs / f"{world}-{seed}-{ends}.log", list[subprocess.Popen[bytes]]()
     with tempfile.TemporaryDirectory(prefix="autopilot") as folder, log.open("w") as out:
         try:
             started.append(simulator(binary, folder, parameters, gcs, port, subprocess.DEVNULL))
@@ -92,16 +92,17 @@ def flown(binary: Path, world: str, seed: int, seconds: float, ends: str, runs: 
         finally:
             for one in started[::-1]:
                 end(one)
-    tracks = [np.array([row for row in rows if row[0] >= begun]) for rows in (pilot.truth, pilot.estimate)]
-    for track in tracks:
-        track[:, 1:] += origin
+    truth, estimate = (
+        np.array([row for row in rows if row[0] >= begun]) + np.append(0.0, origin)
+        for rows in (pilot.truth, pilot.estimate)
+    )
     clock = np.array([row for row in pilot.clock if row[0] >= begun])
-    pace = float(np.polyfit(*clock.T, 1)[0])
+    pace = float(np.polyfit(clock[:, 0], clock[:, 1], 1)[0])
     if started[1].returncode not in (0, 130):
         raise RuntimeError(f"ullage failed, and then the vehicle: {after}\n{log.read_text()[-2000:]}")
     run = max(runs.glob("*/verdict.txt"), key=os.path.getmtime)
     metrics = {name: one["value"] for name, one in json.loads((run.parent / "metrics.json").read_text()).items()}
-    return Flown(*tracks, pace, metrics, run.read_text(), log.read_text(), after)
+    return Flown(truth, estimate, pace, metrics, run.read_text(), log.read_text(), after)
 
 
 def _until_it_ends(pilot: Pilot, started: list[subprocess.Popen[bytes]], seconds: float, ends: str) -> None:
