@@ -228,7 +228,7 @@ def cells_of(book: Path, kind: str) -> list[dict[str, Any]]:
 @pytest.mark.parametrize("book", TUTORIALS, ids=lambda book: book.stem)
 def test_a_tutorial_is_a_notebook_that_has_been_run(book: Path) -> None:
     cells = cells_of(book, "code")
-    assert len(TUTORIALS) == 6
+    assert len(TUTORIALS) == 7
     assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
     shown = [output for cell in cells for output in cell["outputs"]]
     assert {output["output_type"] for output in shown} == {"stream", "display_data"}
