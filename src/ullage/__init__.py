@@ -61,6 +61,7 @@ _HOMES = {
     "Odometry": "processing.odometry.odometry",
     "map_occupancy": "processing.occupancy",
     "open": "ports.registry",
+    "read_imu": "ports.tracked",
     "sink": "pipeline",
     "run": "pipeline",
     "dataset": "experiments.dataset",

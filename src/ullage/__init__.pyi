@@ -27,6 +27,7 @@ from ullage.grids import OccupancyMap as OccupancyMap
 from ullage.pipeline import run as run
 from ullage.pipeline import sink as sink
 from ullage.ports.registry import open as open
+from ullage.ports.tracked import read_imu as read_imu
 from ullage.processing import metrics as metrics
 from ullage.processing.calibrate import calibrate as calibrate
 from ullage.processing.calibration_plan import plan_calibration as plan_calibration

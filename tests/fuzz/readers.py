@@ -432,6 +432,15 @@ def _track(made: str) -> Callable[[Path], Sequence[bytes]]:
 TRACK_TOPICS = ("/fix", "/tf", "/vio")
 
 
+def _unit(_: Path) -> list[bytes]:
+    """A log with a few readings of an inertial unit."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "ports"))
+    import vehicle_logs
+
+    n = np.arange(6)
+    return [vehicle_logs.dataflash_of_imu(ul.Imu(n * 10_000_000, np.ones((6, 3)) * n[:, None], np.ones((6, 3))))]
+
+
 def _tracks_in_a_bag(_: Path) -> list[bytes]:
     """Fixes, transforms and poses with a stamp, as messages in a row."""
     from ullage.ports import schema as ros
@@ -538,6 +547,7 @@ READERS = [
         if _there("pymavlink")
         else []
     ),
+    *([Reader("imu", _unit, "a.bin", _reader("vehicle_logs", "imu_of_dataflash"))] if _there("pymavlink") else []),
     *(Reader(kind, _track(kind), f"a.{kind}", _reader("vehicle_logs", f"read_{kind}")) for kind in ("nmea", "ubx")),
     Reader("tracks", _tracks_in_a_bag, "a.mcap", _read_tracks, pack=mcap_of),
     Reader("motive", _recorded("pulson440", "rail_a", "mocap.csv", most=12_000), "mocap.csv", _read_motive),

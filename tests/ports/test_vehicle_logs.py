@@ -16,6 +16,7 @@ import ullage as ul
 from ullage.errors import MissingExtra
 from ullage.geometry import rpy_quat
 from ullage.ports import schema as ros
+from ullage.ports.encode import imu_message
 
 S = 1_000_000_000
 needs_pyulog = pytest.mark.skipif(importlib.util.find_spec("pyulog") is None, reason="pyulog is not installed")
@@ -266,3 +267,62 @@ def test_any_radar_file_takes_a_track(tmp_path: Path) -> None:
     turned = ul.open(tmp_path, fps=20, range_start_m=0.2, mount=ul.MountSpec(yaw_deg=90)).frames()
     assert isinstance(turned, ul.Frames)
     np.testing.assert_allclose(turned.believed.world_from_body[0, :3, 0], [0, 1, 0], atol=1e-9)
+
+
+def unit() -> ul.Imu:
+    """Readings of a body that turns and speeds up, level at first."""
+    t = np.arange(50) / 100
+    turn = np.stack([0.1 * t, -0.2 * t, 0.3 + t], axis=1)
+    return ul.Imu(np.rint(t * 1e9).astype(np.int64) + S, turn, np.stack([t, -2 * t, 9.81 + t], axis=1))
+
+
+def bag_of_imu(path: Path, imu: ul.Imu) -> Path:
+    still = np.array([0.0, 0.0, 0.0, 1.0])
+    readings = zip(imu.t_ns.tolist(), imu.angular_velocity, imu.specific_force, strict=True)
+    rows = [("/imu", ros.IMU, t, imu_message(t, still, turn, force, frame_id="base")) for t, turn, force in readings]
+    return bag_of(path, [(topic, kind, t, ros.from_bytes(kind, data)) for topic, kind, t, data in rows])
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        pytest.param("ulg", marks=needs_pyulog),
+        pytest.param("bin", marks=needs_pymavlink),
+        "bag",
+    ],
+)
+def test_an_inertial_unit_is_read_in_the_axes_of_the_body(tmp_path: Path, made: str) -> None:
+    known, path = unit(), tmp_path / f"flight.{made}"
+    if made == "bag":
+        path = bag_of_imu(tmp_path / "flight", known)
+    else:
+        path.write_bytes(logs.ulog_of_imu(known) if made == "ulg" else logs.dataflash_of_imu(known))
+    got = ul.read_imu(path)
+    np.testing.assert_array_equal(got.t_ns, known.t_ns)
+    np.testing.assert_allclose(got.angular_velocity, known.angular_velocity, atol=1e-6)
+    np.testing.assert_allclose(got.specific_force, known.specific_force, atol=1e-5)
+
+
+def test_readings_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
+    known = unit()
+    rows = [ros.from_bytes(ros.IMU, imu_message(t, np.array([0, 0, 0, 1.0]), np.full(3, w), np.ones(3), frame_id="b"))
+            for t, w in zip(known.t_ns.tolist(), [np.nan, *np.zeros(49)], strict=True)]  # fmt: skip
+    path = bag_of(tmp_path / "flight", [("/imu", ros.IMU, S + k, one) for k, one in enumerate(rows)])
+    with pytest.warns(ul.UllageWarning, match="1 of 50 readings of the inertial unit are no numbers"):
+        assert len(ul.read_imu(path, topic="/imu")) == 49
+    with pytest.raises(ul.InputError, match=r"no Imu on /else.*/imu"):
+        ul.read_imu(path, topic="/else")
+
+
+def test_what_holds_no_inertial_unit_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t\n")
+    with pytest.raises(ul.InputError, match=r"a\.csv: no inertial unit is read from it.*\.ulg"):
+        ul.read_imu(tmp_path / "a.csv")
+    with pytest.raises(ul.InputError, match="no such file"):
+        ul.read_imu(tmp_path / "b.ulg")
+    with pytest.raises(ul.InputError, match="0 topics hold an inertial unit"):
+        ul.read_imu(bag_of(tmp_path / "flight", placed(flown())))
+    if importlib.util.find_spec("pymavlink") is not None:
+        (tmp_path / "c.bin").write_bytes(logs.dataflash(flown()))
+        with pytest.raises(ul.InputError, match="0 readings of an inertial unit"):
+            ul.read_imu(tmp_path / "c.bin")

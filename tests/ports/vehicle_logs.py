@@ -60,6 +60,34 @@ def dataflash(track: ul.Trajectory) -> bytes:
     return out
 
 
+def ulog_of_imu(imu: ul.Imu) -> bytes:
+    """A log of PX4 with readings of an inertial unit, in forward-right-down."""
+
+    def message(kind: bytes, data: bytes) -> bytes:
+        return struct.pack("<Hc", len(data), kind) + data
+
+    layout = b"sensor_combined:uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;"
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"F", layout)
+    out += message(b"A", struct.pack("<BH", 0, 0) + b"sensor_combined")
+    for t, turn, force in zip(imu.t_ns // 1000, imu.angular_velocity @ FLIP, imu.specific_force @ FLIP, strict=True):
+        out += message(b"D", struct.pack("<HQ6f", 0, t, *turn, *force))
+    return out
+
+
+def dataflash_of_imu(imu: ul.Imu) -> bytes:
+    """A log of ArduPilot with readings of two inertial units; those of the second are wrong."""
+
+    def described(kind: int, size: int, name: bytes, form: bytes, columns: bytes) -> bytes:
+        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, name, form, columns)
+
+    out = described(128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
+    out += described(65, 3 + 8 + 1 + 6 * 4, b"IMU", b"QBffffff", b"TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    for t, turn, force in zip(imu.t_ns // 1000, imu.angular_velocity @ FLIP, imu.specific_force @ FLIP, strict=True):
+        for unit in (0, 1):
+            out += b"\xa3\x95\x41" + struct.pack("<QB6f", t, unit, *(turn + unit), *force)
+    return out
+
+
 def nmea(track: ul.Trajectory, *, start_s: int = 86_395) -> str:
     """Fixes of a receiver without attitude, by default past midnight."""
     return "".join(sentence(start_s + t, p) for t, p in zip(track.t_ns * 1e-9, track.position, strict=True))

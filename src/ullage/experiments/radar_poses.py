@@ -1,7 +1,7 @@
 """Poses by radar for runs: odometry on simulated or recorded frames, and how far it is from the truth.
 
-No inertial unit is recorded with any radar that is read. It is therefore simulated, and an altimeter too, from the true
-flight or from motion capture. The odometry gets nothing else of these.
+No recording of a radar that is read holds an inertial unit. It is therefore simulated, and an altimeter too, from the
+true flight or from motion capture. The odometry gets nothing else of these.
 """
 
 from __future__ import annotations

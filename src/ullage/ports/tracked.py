@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from ullage.arrays import Floats, Longs
-from ullage.data import Frames, Trajectory, sensors_of
+from ullage.data import Frames, Imu, Trajectory, sensors_of
 from ullage.errors import InputError
 from ullage.ports.arrays import Arrays, names_in, read_npz, refuse_pickle
 from ullage.ports.intake import warn
 from ullage.ports.protocol import Source, WholeSource
 from ullage.ports.radar_logs import SESSIONS, read_arrays, read_log, read_scans, read_sessions
 from ullage.ports.tracks import Survey, read_bodies, read_survey, read_tracks
-from ullage.ports.vehicle_logs import read_dataflash, read_nmea, read_ubx, read_ulog
+from ullage.ports.vehicle_logs import imu_of_dataflash, imu_of_ulog, read_dataflash, read_nmea, read_ubx, read_ulog
 from ullage.specs import MountSpec
 from ullage.untrusted import reading
 
@@ -127,6 +127,36 @@ def read_radar_track(path: Path) -> Trajectory:
     """
     tracks = _read(path, topic="", datum="")
     return tracks[_radar_body(tracks)]
+
+
+def read_imu(path: str | Path, *, topic: str = "") -> Imu:
+    """Read the inertial unit that a vehicle's log or a bag has recorded, for `ul.odometry`.
+
+    Its axes count as the body's, and its clock must be that of the frames.
+
+    Args:
+        path: PX4's `.ulg`, ArduPilot's `.bin`, `.mcap`, `.bag`, `.db3`, or rosbag2's folder.
+        topic: of sensor_msgs/Imu in a bag; none: the only one there.
+
+    Raises:
+        InputError: the file is missing or of another kind, or has no readings.
+        MissingExtra: the library that reads it is not installed.
+    """
+    path = Path(path)
+    kind = path.suffix.lower()
+    if not path.exists():
+        raise InputError("no such file", where=path, allowed="a file")
+    if kind == ".ulg":
+        return imu_of_ulog(path)
+    if kind == ".bin":
+        return imu_of_dataflash(path)
+    if kind in BAGS or path.is_dir():
+        from ullage.ports.ros2.bags import imu_of_bag
+
+        return imu_of_bag(path, topic=topic)
+    raise InputError(
+        "no inertial unit is read from it", where=path, allowed=".ulg, .bin, .mcap, .bag, .db3 or a folder"
+    )
 
 
 def _read(path: Path, *, topic: str, datum: str) -> dict[str, Trajectory]:

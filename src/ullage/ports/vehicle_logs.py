@@ -1,4 +1,4 @@
-"""Tracks of vehicles from their own logs: PX4's `.ulg`, ArduPilot's `.bin`, and the fixes of satellite receivers.
+"""Tracks and inertial units in vehicles' own logs: PX4's `.ulg`, ArduPilot's `.bin`, fixes of satellite receivers.
 
 Autopilots write north-east-down and forward-right-down; here tracks are ENU and FLU. Fixes become east, north and up of
 a datum; where a log has no attitude, it is that of the world [ULog] [NMEA0183] [UBXF9].
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ullage.arrays import Floats
-from ullage.data import Trajectory
+from ullage.data import Imu, Trajectory
 from ullage.errors import InputError, need
 from ullage.geometry import rpy_quat
 from ullage.ports.intake import warn
-from ullage.ports.ned import SWAP, Geodetic, datum_of, enu_quat
+from ullage.ports.ned import FLIP, SWAP, Geodetic, datum_of, enu_quat
 from ullage.untrusted import reading
 
 Pose = tuple[int, ArrayLike, ArrayLike]
@@ -109,19 +109,23 @@ def read_ulog(path: Path) -> Trajectory:
         InputError: it is no such log, or one of both is missing.
         MissingExtra: pyulog is not installed.
     """
-    library: Any = need("pyulog", extra="logs")
-    names = ["vehicle_local_position", "vehicle_attitude"]
     with reading(path):
-        found = {one.name: one.data for one in library.ULog(str(path), names).data_list if one.multi_id == 0}
-        if missing := [name for name in names if name not in found]:
-            raise InputError(f"no {' and no '.join(missing)}", where=path, allowed="a log of a flight by PX4")
-        place, turn = (found[name] for name in names)
+        place, turn = _ulog(path, ["vehicle_local_position", "vehicle_attitude"])
         ned = np.stack([place["x"], place["y"], place["z"]], axis=1)
         quat = np.stack([turn[f"q[{k}]"] for k in (1, 2, 3, 0)], axis=1)
         times, turns = (np.asarray(one["timestamp"], np.int64) * 1000 for one in (place, turn))
         level = track_of_poses(zip(turns, np.zeros((len(quat), 3)), quat, strict=True), path)
         held = np.clip(times, level.t_ns[0], level.t_ns[-1])
         return _enu(times, ned, level.at(held).quat_xyzw, path)
+
+
+def _ulog(path: Path, names: list[str]) -> list[dict[str, Any]]:
+    """Columns of messages of a log of PX4, by name."""
+    library: Any = need("pyulog", extra="logs")
+    found = {one.name: one.data for one in library.ULog(str(path), names).data_list if one.multi_id == 0}
+    if missing := [name for name in names if name not in found]:
+        raise InputError(f"no {' and no '.join(missing)}", where=path, allowed="a log of a flight by PX4")
+    return [found[name] for name in names]
 
 
 def read_dataflash(path: Path) -> Trajectory:
@@ -131,25 +135,85 @@ def read_dataflash(path: Path) -> Trajectory:
         InputError: it is no such log, or holds no estimates.
         MissingExtra: pymavlink is not installed.
     """
-    library: Any = need("pymavlink.DFReader", extra="mavlink")
+    rows: dict[str, list[list[float]]] = {name: [] for name in ESTIMATES}
     with reading(path):
-        for kind, size in LAYOUT.findall(path.read_bytes()):
-            if size[0] < 3:  # the library would read the same bytes for ever
-                raise InputError(f"records of kind {kind[0]} of {size[0]} bytes", where=path, allowed="3 bytes or more")
-        log = library.DFReader_binary(str(path))
-        rows: dict[str, list[list[float]]] = {name: [] for name in ESTIMATES}
-        try:
-            while (message := log.recv_match(type=list(ESTIMATES))) is not None:
-                if getattr(message, "C", 0) in (0, 100):
-                    angles = np.radians([message.Roll, message.Pitch, message.Yaw])
-                    rows[message.get_type()].append([message.TimeUS, message.PN, message.PE, message.PD, *angles])
-        finally:
-            log.close()
+        for message in _dataflash(path, ESTIMATES):
+            if getattr(message, "C", 0) in (0, 100):
+                angles = np.radians([message.Roll, message.Pitch, message.Yaw])
+                rows[message.get_type()].append([message.TimeUS, message.PN, message.PE, message.PD, *angles])
         table = np.array(next((found for found in rows.values() if found), [])).reshape(-1, 7)
         if not len(table):
             raise InputError(f"no {' or '.join(ESTIMATES)}", where=path, allowed="a log of a flight by ArduPilot")
         table = table[np.isfinite(table).all(1) & (table[:, 0] < MOST_NS / 1000)]
         return _enu(np.rint(table[:, 0] * 1000).astype(np.int64), table[:, 1:4], rpy_quat(*table[:, 4:].T), path)
+
+
+def _dataflash(path: Path, kinds: Sequence[str]) -> Iterator[Any]:
+    """Messages of these kinds in a log of ArduPilot."""
+    library: Any = need("pymavlink.DFReader", extra="mavlink")
+    for kind, size in LAYOUT.findall(path.read_bytes()):
+        if size[0] < 3:  # the library would read the same bytes for ever
+            raise InputError(f"records of kind {kind[0]} of {size[0]} bytes", where=path, allowed="3 bytes or more")
+    log = library.DFReader_binary(str(path))
+    try:
+        while (message := log.recv_match(type=list(kinds))) is not None:
+            yield message
+    finally:
+        log.close()
+
+
+def imu_of_ulog(path: Path) -> Imu:
+    """Read the inertial unit in a log of PX4: sensor_combined.
+
+    Raises:
+        InputError: it is no such log, or holds no readings.
+        MissingExtra: pyulog is not installed.
+    """
+    with reading(path):
+        (found,) = _ulog(path, ["sensor_combined"])
+        columns = [found[f"{name}[{k}]"] for name in ("gyro_rad", "accelerometer_m_s2") for k in range(3)]
+        return imu_of_rows(np.asarray(found["timestamp"], np.int64) * 1000, _flu(np.stack(columns, axis=1)), path)
+
+
+def imu_of_dataflash(path: Path) -> Imu:
+    """Read the first inertial unit in a log of ArduPilot: IMU.
+
+    Raises:
+        InputError: it is no such log, or holds no readings.
+        MissingExtra: pymavlink is not installed.
+    """
+    names = "TimeUS", "GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"
+    with reading(path):
+        rows = [[getattr(one, name) for name in names] for one in _dataflash(path, ["IMU"]) if not getattr(one, "I", 0)]
+        table = np.array(rows, float).reshape(-1, 7)
+        table = table[np.isfinite(table).all(1) & (table[:, 0] < MOST_NS / 1000)]
+        return imu_of_rows(np.rint(table[:, 0] * 1000).astype(np.int64), _flu(table[:, 1:]), path)
+
+
+def _flu(readings: Floats) -> Floats:
+    """Turn rates and specific forces (n, 6) from forward-right-down."""
+    return np.hstack([readings[:, :3] @ FLIP.T, readings[:, 3:] @ FLIP.T])
+
+
+def imu_of_rows(t_ns: Any, readings: Floats, path: Path) -> Imu:
+    """Return readings in order of time; those that are no numbers are left out, with a warning.
+
+    Args:
+        t_ns: times (n) [ns].
+        readings: turn rates [rad/s] and specific forces [m/s2] of the body (n, 6), FLU.
+        path: for messages.
+
+    Raises:
+        InputError: fewer than two can be used.
+    """
+    good = np.asarray(np.isfinite(readings).all(1))
+    times, first = np.unique(np.asarray(t_ns, np.int64)[good], return_index=True)
+    if len(times) < 2:
+        raise InputError(f"{len(times)} readings of an inertial unit in it", where=path, allowed="two or more")
+    if not good.all():
+        warn(f"{path}: {int((~good).sum())} of {len(good)} readings of the inertial unit are no numbers; left out")
+    kept = readings[good][first]
+    return Imu(times, kept[:, :3], kept[:, 3:])
 
 
 def _enu(t_ns: Any, ned: Floats, quat: Floats, path: Path) -> Trajectory:

@@ -12,9 +12,10 @@ from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import Field
 
-from ullage.data import Frames, Trajectory
+from ullage.data import Frames, Imu, Trajectory
 from ullage.errors import DamageWarning, InputError, UllageWarning
 from ullage.geometry import matrix_quat
 from ullage.grids import OccupancyMap
@@ -26,7 +27,7 @@ from ullage.ports.protocol import Recording
 from ullage.ports.replay import McapSource
 from ullage.ports.ros2.incoming import Incoming
 from ullage.ports.ros2.options import SourceOptions
-from ullage.ports.vehicle_logs import Pose, track_of_fixes, track_of_poses
+from ullage.ports.vehicle_logs import Pose, imu_of_rows, track_of_fixes, track_of_poses
 from ullage.specs import Spec
 
 BATCH = 256
@@ -238,6 +239,28 @@ def read_track(path: Path, *, topic: str = "", body: str = "base_link", datum: s
     return track_of_poses([(one.t_ns, one.position, one.quat_xyzw) for one in placed_at], path)
 
 
+def imu_of_bag(path: Path, *, topic: str = "") -> Imu:
+    """Read an inertial unit from one topic of a bag.
+
+    Args:
+        path: of the bag.
+        topic: of sensor_msgs/Imu; none: the only one there.
+
+    Raises:
+        InputError: it is no bag, there is no such topic or there are several, or its readings cannot be used.
+    """
+    bag = Bag.of(path)
+    there = [name for name, kind in bag.kinds.items() if kind == ros.IMU]
+    if (topic and topic not in there) or (not topic and len(there) != 1):
+        what = f"no Imu on {topic}" if topic else f"{len(there)} topics hold an inertial unit: say topic="
+        raise InputError(what, where=path, allowed=", ".join(there) or bag.listed())
+    messages = (data for _, data in bag.messages([topic or there[0]]))
+    found = list(_sound(ros.IMU, messages=messages, decode=ros.from_bytes, path=path))
+    parts = [(one.angular_velocity, one.linear_acceleration) for one in found]
+    readings = np.array([[v.x, v.y, v.z, f.x, f.y, f.z] for v, f in parts], float).reshape(-1, 6)
+    return imu_of_rows([stamp_ns(one.header) for one in found], readings, path)
+
+
 def _sound(kind: str, *, messages: Iterable[bytes], decode: Callable[[str, bytes], Any], path: Path) -> Iterator[Any]:
     """Decode messages; those that cannot be read are left out, with a warning."""
     bad = 0
@@ -247,7 +270,7 @@ def _sound(kind: str, *, messages: Iterable[bytes], decode: Callable[[str, bytes
         except Exception:  # a stranger's bytes: the library's complaints are of every kind
             bad += 1
     if bad:
-        warnings.warn(f"{path}: {bad} messages of the track cannot be read; left out", DamageWarning, stacklevel=3)
+        warnings.warn(f"{path}: {bad} messages of {kind} cannot be read; left out", DamageWarning, stacklevel=3)
 
 
 def along_transforms(placed: Iterable[Placement], body: str, path: Path) -> Trajectory:
