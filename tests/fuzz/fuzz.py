@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import importlib
 import os
+import pkgutil
 import re
 import subprocess
 import sys
@@ -85,6 +87,8 @@ def child(name: str, seconds: int, runs: int, seed: int) -> None:
     import atheris
 
     warnings.simplefilter("ignore")
+    for kernel in pkgutil.iter_modules(importlib.import_module("ullage.kernels").__path__, "ullage.kernels."):
+        importlib.import_module(kernel.name)  # what is instrumented cannot be compiled
     with atheris.instrument_imports(include=INSTRUMENTED):
         import readers
     reader = next(reader for reader in readers.READERS if reader.name == name)
