@@ -45,7 +45,7 @@ _HOMES = {
     "fly": "flight.vehicle",
     "fly_log": "flight.vehicle",
     "navigate": "flight.navigation",
-    "ImuSpec": "flight.imu",
+    "ImuSpec": "specs",
     "simulate_imu": "flight.imu",
     "simulate_height": "flight.imu",
     "simulate": "radar.simulate",

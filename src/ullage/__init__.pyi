@@ -13,7 +13,6 @@ from ullage.errors import UllageError as UllageError
 from ullage.errors import UllageWarning as UllageWarning
 from ullage.experiments.dataset import dataset as dataset
 from ullage.experiments.explore import explore as explore
-from ullage.flight.imu import ImuSpec as ImuSpec
 from ullage.flight.imu import simulate_height as simulate_height
 from ullage.flight.imu import simulate_imu as simulate_imu
 from ullage.flight.missions import Waypoints as Waypoints
@@ -47,6 +46,7 @@ from ullage.radar.simulate import simulate as simulate
 from ullage.specs import AntennaSpec as AntennaSpec
 from ullage.specs import BodySpec as BodySpec
 from ullage.specs import BoxSpec as BoxSpec
+from ullage.specs import ImuSpec as ImuSpec
 from ullage.specs import MountSpec as MountSpec
 from ullage.specs import NoiseSpec as NoiseSpec
 from ullage.specs import RadarSpec as RadarSpec

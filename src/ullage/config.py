@@ -14,7 +14,7 @@ from pydantic_core import PydanticCustomError, PydanticUndefined
 
 from ullage import plugins
 from ullage.errors import InputError, shown
-from ullage.specs import MOST_BOUNCES, BodySpec, RadarSpec, Rig, Spec
+from ullage.specs import MOST_BOUNCES, BodySpec, ImuSpec, RadarSpec, Rig, Spec
 from ullage.untrusted import compose_yaml, load_yaml, read_yaml, reason
 
 DetectMethod = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean", "track"]
@@ -103,8 +103,14 @@ class FlightSpec(Spec):
     poses: Literal["navigation", "radar"] = Field(
         "navigation",
         description="navigation: the true flight with navigation's errors, or a recording's track; radar: odometry by "
-        "the radars, with a simulated inertial unit and altimeter",
+        "the radars, an inertial unit, and a simulated altimeter",
     )
+    imu_file: str = Field(
+        "", description="recorded inertial unit: .ulg, .bin or a bag; none: the recording's own, else a simulated one; "
+        "simulated: in any case"
+    )  # fmt: skip
+    imu_topic: str = Field("", description="of sensor_msgs/Imu in a bag; none: the only one there")
+    imu: ImuSpec = Field(ImuSpec(), description="data sheet of the inertial unit, by default a BMI088's")
     guard: GuardSpec = GuardSpec()
 
     @field_validator("waypoints")

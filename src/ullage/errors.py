@@ -58,6 +58,10 @@ class InputError(UllageError):
         self.what, self.where, self.line, self.allowed, self.field = what, where, line, allowed, field
 
 
+class NotRecorded(InputError):
+    """A file that can be read does not hold the readings that are asked of it."""
+
+
 class CalibrationError(InputError):
     """A recording that does not decide where its clock and range zero are; nothing is guessed."""
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 C0 = 299_792_458.0
 """Speed of light in vacuum [m/s]."""
+GRAVITY_M_S2 = 9.81
+"""Standard value used by every flight model here [m/s^2]."""
 
 
 def rotations() -> type[Rotation]:

@@ -30,8 +30,8 @@ from ullage.experiments.exploration_report import closest_m, judge, observable_f
 from ullage.experiments.guarded_flight import Loop
 from ullage.experiments.radar_poses import LivePoses
 from ullage.experiments.run import SampledFrames
-from ullage.flight.airframe import GRAVITY_M_S2
 from ullage.flight.missions import along_walls
+from ullage.geometry import GRAVITY_M_S2
 from ullage.grids import Grid
 from ullage.pipeline import InMemorySource, MapStage, run
 from ullage.processing.metrics import on_map

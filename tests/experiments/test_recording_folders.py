@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from tests.ports.vehicle_logs import dataflash, dataflash_of_imu
 from ullage.cli import main
 
 SPEC = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None, bins=110)
@@ -142,6 +143,25 @@ def test_a_radar_clock_that_is_a_thousandth_slow_is_still_calibrated(tmp_path: P
     assert found.t_offset_s == pytest.approx(CLOCK_S, abs=0.03)
     assert found.range_offset_m == pytest.approx(-RANGE_M, abs=3 * found.range_sigma_m)
     assert found.range_sigma_m < 0.1
+
+
+@pytest.mark.slow
+def test_the_log_of_an_autopilot_is_track_and_inertial_unit_of_poses_by_radar(tmp_path: Path) -> None:
+    """The radar's own clock is 1.5 s behind; the unit counts by that of the log, so the poses are right."""
+    pytest.importorskip("pymavlink")
+    write(tmp_path, received(flown(1)), flown(1))
+    (tmp_path / "track.csv").unlink()
+    unit = ul.simulate_imu(flown(1), still_s=0.0, seed=11)
+    (tmp_path / "track.bin").write_bytes(dataflash(flown(1)) + dataflash_of_imu(unit))
+    assert run(tmp_path, "--poses", "radar", "--do", "detect") == 0
+    folder = tmp_path / "runs" / "latest"
+    said = (folder / "verdict.txt").read_text()
+    assert "inertial unit recorded in track.bin" in said
+    assert json.loads((folder / "metrics.json").read_text())["pose_rms"]["value"] < 0.15
+    kept, front = ul.read_imu(folder), ul.open(folder).frames()
+    assert isinstance(front, ul.Frames)
+    assert kept.t_ns[0] < front.t_ns[0] - 1_000_000_000
+    np.testing.assert_allclose(kept.specific_force, unit[np.isin(unit.t_ns, kept.t_ns)].specific_force, atol=1e-5)
 
 
 def test_a_track_and_a_radar_of_other_times_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

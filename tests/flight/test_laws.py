@@ -8,8 +8,9 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 import ullage as ul
-from ullage.flight.airframe import AIRFRAMES, GRAVITY_M_S2, airframe
+from ullage.flight.airframe import AIRFRAMES, airframe
 from ullage.flight.vehicle import fly_log
+from ullage.geometry import GRAVITY_M_S2
 
 from .bench import let_go
 

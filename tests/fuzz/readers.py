@@ -438,7 +438,7 @@ def _unit(_: Path) -> list[bytes]:
     import vehicle_logs
 
     n = np.arange(6)
-    return [vehicle_logs.dataflash_of_imu(ul.Imu(n * 10_000_000, np.ones((6, 3)) * n[:, None], np.ones((6, 3))))]
+    return [vehicle_logs.dataflash_of_imu(ul.Imu(n * 10_000_000, np.ones((6, 3)) * n[:, None], np.full((6, 3), 5.7)))]
 
 
 def _tracks_in_a_bag(_: Path) -> list[bytes]:

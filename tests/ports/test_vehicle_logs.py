@@ -304,14 +304,22 @@ def test_an_inertial_unit_is_read_in_the_axes_of_the_body(tmp_path: Path, made: 
 
 
 def test_readings_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
-    known = unit()
-    rows = [ros.from_bytes(ros.IMU, imu_message(t, np.array([0, 0, 0, 1.0]), np.full(3, w), np.ones(3), frame_id="b"))
+    known, down = unit(), np.full(3, 5.7)
+    rows = [ros.from_bytes(ros.IMU, imu_message(t, np.array([0, 0, 0, 1.0]), np.full(3, w), down, frame_id="b"))
             for t, w in zip(known.t_ns.tolist(), [np.nan, *np.zeros(49)], strict=True)]  # fmt: skip
     path = bag_of(tmp_path / "flight", [("/imu", ros.IMU, S + k, one) for k, one in enumerate(rows)])
     with pytest.warns(ul.UllageWarning, match="1 of 50 readings of the inertial unit are no numbers"):
         assert len(ul.read_imu(path, topic="/imu")) == 49
     with pytest.raises(ul.InputError, match=r"no Imu on /else.*/imu"):
         ul.read_imu(path, topic="/else")
+
+
+@pytest.mark.parametrize("factor", [1 / 9.81, 1 / 0.3048, 1000 / 9.81, 0.0])
+def test_forces_in_another_unit_or_without_gravity_are_refused_and_not_guessed(tmp_path: Path, factor: float) -> None:
+    known = unit()
+    path = bag_of_imu(tmp_path / "flight", ul.Imu(known.t_ns, known.angular_velocity, factor * known.specific_force))
+    with pytest.raises(ul.InputError, match=r"flight\.db3: a specific force of .* m/s2.*allowed: m/s2 with gravity"):
+        ul.read_imu(path)
 
 
 def test_what_holds_no_inertial_unit_is_refused(tmp_path: Path) -> None:

@@ -307,7 +307,7 @@ class Loop:
         """
         plan, guard_spec = self.scenario.flight, self.scenario.flight.guard
         if self.poses is None and plan.poses == "radar":
-            self.poses = LivePoses(self.scenario.seed)
+            self.poses = LivePoses(self.scenario.seed, plan.imu)
         if 1 / self.rate_hz > guard_spec.latency_s:
             what = f"{self.rate_hz:g} frames a second and a latency of {guard_spec.latency_s:g} s"
             least = f">= one frame, {1 / self.rate_hz:.3g} s"

@@ -1,7 +1,7 @@
 """Poses by radar for runs: odometry on simulated or recorded frames, and how far it is from the truth.
 
-No recording of a radar that is read holds an inertial unit. It is therefore simulated, and an altimeter too, from the
-true flight or from motion capture. The odometry gets nothing else of these.
+The altimeter is simulated from the true flight or from the recorded track, and so is the inertial unit where none was
+recorded. The odometry gets nothing else of these but the first pose.
 """
 
 from __future__ import annotations
@@ -9,20 +9,24 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from ullage.arrays import Bools
+from ullage.arrays import Bools, Longs
 from ullage.data import Frames, Imu, Metric, Trajectory, even_times, strung
-from ullage.errors import UllageWarning
-from ullage.flight.imu import ImuSpec, simulate_height, simulate_imu
+from ullage.errors import InputError, UllageWarning
+from ullage.flight.imu import simulate_height, simulate_imu
+from ullage.ports.intake import warn
 from ullage.processing.odometry.odometry import Odometry, OdometryResult
+from ullage.processing.odometry.solution import OdometrySpec
+from ullage.specs import ImuSpec
 
 SMOOTH_HZ = 5.0
 """Motion capture counts below this frequency: differences of its noise would be no readings of a unit."""
-REST_M_S = 0.05  # a body slower than this rests at the first frame
-STILL_S = 2.0  # of simulated rest before it
+REST_M_S, REST_RAD_S = 0.05, 0.05  # a body slower than both rests
+STILL_S = 2.0  # of rest before the first frame, at most
 
 
 class RadarPoses:
@@ -34,22 +38,31 @@ class RadarPoses:
         source: of the truth, in words.
         captured: the truth is motion capture, with its noise.
         flown_by: poses of a flight in closed loop, whose frames have them already.
+        unit: data sheet of the inertial unit.
+        imu: its readings and their file; None: it is simulated.
     """
 
     def __init__(
         self, truth: Trajectory, *, seed: int, source: str, captured: bool = False,
-        flown_by: OdometryResult | None = None,
+        flown_by: OdometryResult | None = None, unit: ImuSpec | None = None, imu: tuple[Imu, str] | None = None,
     ) -> None:  # fmt: skip
         self._truth, self._seed, self._source, self._captured = truth, seed, source, captured
-        self._result = flown_by
+        self._result, self._unit, self._imu = flown_by, unit or ImuSpec(), imu
+        self._start_ns = 0  # of the odometry
 
     @property
     def sentence(self) -> str:
         """Where the poses come from."""
-        also = ", which is else the truth alone and what clock and range are calibrated by" if self._captured else ""
+        units, also = "an inertial unit and an altimeter", ""
+        if self._imu is not None:
+            units = f"the inertial unit recorded in {Path(self._imu[1]).name}, and an altimeter"
+            sheet = "a BMI088, as flight.imu sets none" if self._unit == ImuSpec() else "flight.imu"
+            also = f" Its axes are taken for the body's, its clock for the track's, its noise and offsets from {sheet}."
+        if self._captured:
+            also += " Apart from that, the track only calibrates clock and range, and serves as truth."
         return (
-            "Poses come from the radars, with an inertial unit and an altimeter simulated from the "
-            f"{self._source}{also}; they are often lost within half a minute."
+            f"Poses come from the radars, with {units} simulated from the {self._source}; "
+            f"they are often lost within half a minute.{also}"
         )
 
     def placed(self, pieces: Iterator[Mapping[str, Frames]]) -> Iterator[dict[str, Frames]]:
@@ -59,19 +72,26 @@ class RadarPoses:
         for piece in pieces:
             if work is None:
                 work = self._begun(min(int(part.t_ns[0]) for part in piece.values()))
-            work.add(piece)
-            if out := work.placed(piece):
+            later = {name: part.t_ns >= self._start_ns for name, part in piece.items()}
+            work.add(kept := {name: part[later[name]] for name, part in piece.items() if later[name].any()})
+            if out := work.placed(kept):
                 yield out
         if work is not None:
             self._result = work.result()
 
     def _begun(self, first_ns: int) -> Odometry:
         path = smoothed(self._truth, SMOOTH_HZ) if self._captured else self._truth
-        begin = int(np.searchsorted(path.t_ns, first_ns, side="right")) - 1
-        path = path[max(begin, 0) :]
-        rests = float(np.linalg.norm(path.rates[0][0])) < REST_M_S or not self._captured
-        work = Odometry(start=path[:1])
-        work.add_imu(simulate_imu(path, still_s=STILL_S if rests else 0.0, seed=self._seed))
+        speed, turning = (np.linalg.norm(rate, axis=1) for rate in path.rates)
+        moves = ((speed >= REST_M_S) | (turning >= REST_RAD_S)) & self._captured
+        self._start_ns, imu = first_ns, None
+        if self._imu is not None:
+            self._start_ns, imu = _rested(self._imu[0], path.t_ns, moves, first_ns)
+            if rest_ns := self._start_ns - first_ns:
+                warn(f"frames of the first {_seconds(rest_ns)} s, a rest that shows the unit's offsets, are left out")
+        begin = max(int(np.searchsorted(path.t_ns, self._start_ns, side="right")) - 1, 0)
+        still_s, path = 0.0 if moves[begin] else STILL_S, path[begin:]
+        work = Odometry(start=path[:1], spec=OdometrySpec(imu=self._unit))
+        work.add_imu(imu or simulate_imu(path, self._unit, still_s=still_s, seed=self._seed))
         work.add_height(simulate_height(path, seed=self._seed))
         return work
 
@@ -95,6 +115,26 @@ class RadarPoses:
             f"{share:.0f} and {last:.0f} % of the way, and by at most {worst:.1f} sigma while not lost."
         )
         return lines, list(scores.values())
+
+
+def _rested(imu: Imu, t_ns: Longs, moves: Bools, first_ns: int) -> tuple[int, Imu]:
+    """Return when to begin [ns], and the readings from the rest before that on.
+
+    The odometry takes what is read before its first frame for rest, and finds the offsets of the unit by it. Of a
+    recording that begins at rest, frames count from `STILL_S` on, or from when the body moves.
+
+    Args:
+        imu: readings.
+        t_ns: times of the track (n) [ns].
+        moves: at which of them the body moves (n).
+        first_ns: time of the first frame [ns].
+    """
+    still_ns, moving = round(STILL_S * 1e9), t_ns[moves]
+    since_ns = max([int(imu.t_ns[0]), *moving[moving <= first_ns][-1:].tolist()])
+    row, until_ns = max(int(np.searchsorted(t_ns, first_ns, side="right")) - 1, 0), moving[moving > first_ns][:1]
+    start_ns = first_ns if moves[row] else max(first_ns, min([since_ns + still_ns, *until_ns.tolist()]))
+    last = int(np.searchsorted(imu.t_ns, start_ns, side="right")) - 1
+    return start_ns, imu[min(int(np.searchsorted(imu.t_ns, max(since_ns, start_ns - still_ns))), last) :]
 
 
 def errors(found: OdometryResult, truth: Trajectory) -> list[Metric]:
@@ -136,15 +176,50 @@ def smoothed(path: Trajectory, hz: float) -> Trajectory:
     return Trajectory(even.t_ns, position, quat / np.linalg.norm(quat, axis=1, keepdims=True))
 
 
+def covered(frames: Mapping[str, Frames], imu: Imu, where: str) -> dict[str, Frames]:
+    """Return the frames in the time of recorded readings; the others are left out, with a warning.
+
+    Args:
+        frames: of each radar.
+        imu: readings by the clock of the frames.
+        where: their file.
+
+    Raises:
+        InputError: no frame is in their time, or readings are missing for longer than from one frame to the next.
+    """
+    inside = {name: (part.t_ns >= imu.t_ns[0]) & (part.t_ns <= imu.t_ns[-1]) for name, part in frames.items()}
+    out = {name: part[inside[name]] for name, part in frames.items() if inside[name].any()}
+    times = np.unique(np.concatenate([part.t_ns for part in (out or frames).values()]))
+    if not out:
+        what = f"readings of the inertial unit from {_seconds(*imu.t_ns[[0, -1]])} s"
+        raise InputError(what, where=where, allowed=f"the frames' time, {_seconds(*times[[0, -1]])} s")
+    if left := sum(int((~rows).sum()) for rows in inside.values()):
+        warn(f"{where}: {left} of {sum(map(len, frames.values()))} frames lie outside its readings; left out")
+    steps = np.diff(imu.t_ns)
+    between = [np.median(np.diff(part.t_ns)) for part in out.values() if len(part) > 1]
+    most = max(*between, 2 * np.median(steps), 0)
+    bad = (steps > most) & (imu.t_ns[1:] > times[0]) & (imu.t_ns[:-1] < times[-1])
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise InputError(f"no readings for {_seconds(steps[k])} s from {_seconds(imu.t_ns[k])} s on", where=where,
+                         allowed=f"{_seconds(most)} s, the time from one frame to the next")  # fmt: skip
+    return out
+
+
+def _seconds(*times_ns: float) -> str:
+    return " to ".join(f"{t_ns * 1e-9:.3f}" for t_ns in times_ns)
+
+
 class LivePoses:
     """Believed pose of each step of a flight in closed loop: odometry by its frames, as they come.
 
     Args:
         seed: of the simulated inertial unit and altimeter.
+        unit: data sheet of the inertial unit.
     """
 
-    def __init__(self, seed: int) -> None:
-        self._seed, self._spec = seed, ImuSpec()
+    def __init__(self, seed: int, unit: ImuSpec | None = None) -> None:
+        self._seed, self._spec = seed, unit or ImuSpec()
         self._work: Odometry | None = None
         self._last: Trajectory | None = None
         self._first_ns = 0
@@ -152,7 +227,8 @@ class LivePoses:
     def __call__(self, truth: Trajectory, frames: Mapping[str, Frames]) -> Trajectory:
         """Take a step's true pose, of which readings are simulated, and its frames without poses."""
         if self._work is None or self._last is None:
-            self._work, self._first_ns = Odometry(start=truth), int(truth.t_ns[0])
+            self._work = Odometry(start=truth, spec=OdometrySpec(imu=self._spec))
+            self._first_ns = int(truth.t_ns[0])
             after_ns = truth.t_ns + round(1e9 / self._spec.rate_hz)
             rest = strung([truth, replace(truth, t_ns=after_ns)])
             imu = simulate_imu(rest, self._spec, still_s=STILL_S, seed=self._seed)

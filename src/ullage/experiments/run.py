@@ -19,7 +19,7 @@ import numpy as np
 from ullage import flow
 from ullage.arrays import Floats, Singles
 from ullage.config import Scenario, Task
-from ullage.data import Frames, Metric, Trajectory, joined, makes_room
+from ullage.data import Frames, Imu, Metric, Trajectory, joined, makes_room
 from ullage.experiments.folder import RunFolder
 from ullage.experiments.imaging import ImagePlane
 from ullage.experiments.radar_poses import RadarPoses
@@ -341,6 +341,7 @@ class Run:
     obstacles: ObstacleTable | None = None
     exploration: Exploration | None = None  # the source, where it chose its own path
     odometry: RadarPoses | None = None  # where the poses come from the radars
+    imu: Imu | None = None  # readings that came with a recording
     findings: list[str] = field(default_factory=list)  # sentences of the report
     unmapped: Floats | None = None  # (k, 3) surface in sight that is not on the map [m]
     map_place: str = ""  # the plane or volume of the map, in words that begin a sentence

@@ -87,7 +87,9 @@ def prepare(scenario: Scenario, *, scene: Scene | None = None, progress: Progres
     flown = fly_scenario(scenario, scene, rate_hz=rate_hz, progress=progress)
     nav = scenario.navigation
     believed = navigate(flown, noise_m=nav.noise_m, drift_m=nav.drift_m, yaw_deg=nav.yaw_deg, seed=scenario.seed)
-    odometry = RadarPoses(flown, seed=scenario.seed, source="true flight") if scenario.flight.poses == "radar" else None
+    odometry = None
+    if scenario.flight.poses == "radar":
+        odometry = RadarPoses(flown, seed=scenario.seed, source="true flight", unit=scenario.flight.imu)
     return Simulated(scenario, scene, flown, believed, rig, odometry=odometry)
 
 
@@ -113,7 +115,9 @@ def radars_and_world(scenario: Scenario, scene: Scene | None = None) -> tuple[Ri
     Raises:
         InputError: the world or the file of the radars cannot be read, or declares no radars.
     """
-    sensing = scenario.sensing
+    sensing, imu_file = scenario.sensing, scenario.flight.imu_file
+    if imu_file not in ("", "simulated"):
+        raise InputError(f"a simulated flight reads no {imu_file}", where="flight.imu_file", allowed="simulated")
     scene = load_world(scenario.world) if scene is None else scene
     if not sensing.is_declared:
         return sensing.radars(), scene

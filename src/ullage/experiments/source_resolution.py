@@ -12,23 +12,28 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 import numpy as np
 
 from ullage.arrays import Floats
-from ullage.config import Scenario, Task, is_set_by, make_scenario, run_name, split_source
-from ullage.data import Frames, Trajectory, gathered, sensors_of, strung
-from ullage.errors import InputError
+from ullage.config import FlightSpec, Scenario, Task, is_set_by, make_scenario, run_name, split_source
+from ullage.data import Frames, Imu, Trajectory, gathered, sensors_of, strung
+from ullage.errors import InputError, NotRecorded, UllageError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
 from ullage.experiments.folder import RunFolder
-from ullage.experiments.radar_poses import RadarPoses
+from ullage.experiments.radar_poses import STILL_S, RadarPoses, covered
 from ullage.experiments.run import Run, of_scenario
 from ullage.experiments.simulated import Simulated, load_world, prepare, radars_and_world, waypoints_of
 from ullage.pipeline import LOGGER, InMemorySource, Sink, check_sink
 from ullage.pipeline import sink as open_sink
+from ullage.ports import schema as ros
 from ullage.ports.arrays import refuse_pickle
-from ullage.ports.by_hand import HELP, Controls, FlyOptions, HandFlownSource, Keyboard
+from ullage.ports.by_hand import HELP, IMU_TOPIC, Controls, FlyOptions, HandFlownSource, Keyboard
+from ullage.ports.conversions import BODY
+from ullage.ports.encode import imu_message
 from ullage.ports.instruments.group import LiveTarget
+from ullage.ports.intake import warn
 from ullage.ports.live import LISTED, Address
+from ullage.ports.protocol import Passed
 from ullage.ports.registry import SOURCES, reads
 from ullage.ports.registry import open as open_source
-from ullage.ports.tracked import RailSource
+from ullage.ports.tracked import RailSource, read_imu
 from ullage.world.library import WORLDS
 from ullage.world.load import KINDS
 from ullage.world.scene import Scene
@@ -214,7 +219,7 @@ def tasks_of(text: str | None) -> tuple[Task, ...] | None:
 
 
 def record(run: Run) -> Sink:
-    """Open the recording in a run's folder and give every sink the world; on failure remove the run's folder.
+    """Open the recording in a run's folder, give sinks world and inertial readings; on failure remove the run's folder.
 
     Raises:
         InputError: the disk is full or the folder cannot be written.
@@ -227,8 +232,22 @@ def record(run: Run) -> Sink:
         for sink in (recording, *run.sinks):
             if run.scene is not None:
                 sink.write(run.scene)
+        for item in _readings(run):
+            for sink in (recording, *(() if run.watched else run.sinks)):  # live ports take no readings of the past
+                sink.write(item)
         opened.pop_all()
     return recording
+
+
+def _readings(run: Run) -> Iterator[Passed]:
+    """The readings of a recorded inertial unit from the rest before the frames on, as messages."""
+    if run.imu is None or run.flown is None:
+        return
+    first_ns, last_ns = run.flown.t_ns[[0, -1]]
+    begin, end = np.searchsorted(run.imu.t_ns, [max(first_ns - round(STILL_S * 1e9), 0), last_ns])
+    imu = run.imu[int(begin) : int(end) + 1]
+    for t_ns, turn, force in zip(imu.t_ns.tolist(), imu.angular_velocity, imu.specific_force, strict=True):
+        yield Passed(t_ns, IMU_TOPIC, ros.IMU, imu_message(t_ns, None, turn, force, frame_id=BODY))
 
 
 def _opened(target: str, opened: ExitStack) -> Sink:
@@ -253,6 +272,9 @@ def _of_recording(
     known = {} if rail is None else {"floor_z_m": rail.floor_z_m, "vehicle_radius_m": VEHICLE_M}
     tree: dict[str, Any] = {} if rail is None else {"map": known}
     settings = make_scenario(tree | {"name": "any", "do": ["detect"]}, options=options)
+    imu = _recorded_imu(source, settings.flight)
+    if imu is not None:
+        tree["flight"] = {"imu_file": imu[1]}
     if any(part.track is not None for part in first.values()):
         log("finding clock and range offsets")
         places = None if survey is None else survey.places
@@ -260,8 +282,11 @@ def _of_recording(
         source = InMemorySource({part.sensor: part for part in parts})
         first = next(source.stream())
     placed = all(part.poses is not None for part in first.values())
-    odometry = _odometry(source, settings, target) if settings.flight.poses == "radar" else None
-    if odometry is not None:
+    odometry = None
+    if settings.flight.poses == "radar":
+        if imu is not None:
+            source = InMemorySource(covered(gathered(source.stream()), *imu))
+        odometry = _odometry(source, settings, target, imu)
         source = InMemorySource(gathered(odometry.placed(source.stream())))
         first = next(source.stream())
     if tasks is None:
@@ -273,7 +298,7 @@ def _of_recording(
     flown = _track(source) if placed else None
     marks = None if rail is None else rail.reflectors()
     return Run(NOWHERE, scenario, source, flown=flown, marks=marks, settled=survey is not None, tasks=scenario.do,
-               odometry=odometry)  # fmt: skip
+               odometry=odometry, imu=None if imu is None else imu[0])  # fmt: skip
 
 
 def _first_placed(source: Any) -> dict[str, Frames]:
@@ -286,8 +311,29 @@ def _first_placed(source: Any) -> dict[str, Frames]:
     return first
 
 
-def _odometry(source: Any, scenario: Scenario, target: str) -> RadarPoses:
-    """Get odometry ready, with inertial unit and altimeter from the track of a recording.
+def _recorded_imu(source: Any, flight: FlightSpec) -> tuple[Imu, str] | None:
+    """Return the readings of the inertial unit and their file: the one that is set, else the recording's own, if any.
+
+    Raises:
+        InputError: the file that is set holds none, or one that does cannot be used.
+    """
+    if flight.imu_file:
+        named = flight.imu_file != "simulated"
+        return (read_imu(flight.imu_file, topic=flight.imu_topic), flight.imu_file) if named else None
+    for path in getattr(source, "imu_files", ()):
+        try:
+            return read_imu(path, topic=flight.imu_topic), str(path)
+        except NotRecorded:
+            continue
+        except UllageError as error:
+            if flight.poses == "radar":
+                raise
+            warn(f"{error}; the run leaves the inertial unit out")
+    return None
+
+
+def _odometry(source: Any, scenario: Scenario, target: str, imu: tuple[Imu, str] | None) -> RadarPoses:
+    """Get odometry ready, with altimeter, and inertial unit unless it was recorded, from the track of a recording.
 
     Raises:
         InputError: there is no track, or the frames have no phase.
@@ -297,10 +343,11 @@ def _odometry(source: Any, scenario: Scenario, target: str) -> RadarPoses:
         raise InputError("frames without phase give no poses", where=target, allowed="flight.poses navigation")
     track = part.track if part.track is not None else _track(source) if part.poses is not None else None
     if track is None or len(track) < 2:
-        raise InputError("a recording without a track, of which to simulate the inertial unit", where=target,
+        raise InputError("a recording without a track, of which to take start and heights", where=target,
                          allowed="a track beside it, or flight.poses navigation")  # fmt: skip
     body = track.mounted(np.linalg.inv(part.spec.mount.body_from_sensor()))
-    return RadarPoses(body, seed=scenario.seed, source="recorded track", captured=True)
+    return RadarPoses(body, seed=scenario.seed, source="recorded track", captured=True, unit=scenario.flight.imu,
+                      imu=imu)  # fmt: skip
 
 
 class Begun:

@@ -14,10 +14,8 @@ from pydantic import Field, field_validator
 
 from ullage.arrays import Floats
 from ullage.errors import InputError
+from ullage.geometry import GRAVITY_M_S2
 from ullage.specs import Spec, Vector
-
-GRAVITY_M_S2 = 9.81
-"""Standard value used by every flight model here [m/s^2]."""
 
 
 class Gains(Spec):

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ullage.arrays import Floats
-from ullage.flight.airframe import GRAVITY_M_S2, Airframe
+from ullage.flight.airframe import Airframe
 from ullage.flight.wander import philox
+from ullage.geometry import GRAVITY_M_S2
 from ullage.kernels.flight import Vehicle
 
 

@@ -5,62 +5,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pydantic import Field
 from scipy.special import ndtri
 
 from ullage import checks
 from ullage.arrays import Floats, Longs
 from ullage.data import Height, Imu, Trajectory, even_times
 from ullage.errors import InputError
-from ullage.flight.airframe import GRAVITY_M_S2
 from ullage.flight.wander import philox
-from ullage.geometry import quat_matrix, rotations
-from ullage.specs import Spec
+from ullage.geometry import GRAVITY_M_S2, quat_matrix, rotations
+from ullage.specs import ImuSpec
 
 _IMU, _BIAS, _HEIGHT = 0x494D55, 0x494D56, 0x494D57  # components of the noise
-
-
-class ImuSpec(Spec):
-    """A MEMS inertial unit: by default the BMI088 of many flight controllers [BMI088].
-
-    The data sheet gives the densities and the offset of the gyroscopes. It gives 20 mg for the accelerometers, of which
-    the calibration in six positions that autopilots ask for leaves the drift with temperature: 0.2 mg/K over 25 K. It
-    gives no random walk: that of the gyroscopes changes them by 2 deg/h in 100 s, that of the accelerometers by 1 mg in
-    1000 s. Densities count as two-sided, sigma being density times sqrt(rate): 3 dB more than one-sided ones.
-    """
-
-    rate_hz: float = Field(200.0, gt=1, le=10_000, description="readings a second")
-    gyro_noise_deg_s: float = Field(0.014, ge=0, le=10, description="density of the turn rate [deg/s/sqrt(Hz)]")
-    accel_noise_ug: float = Field(190.0, ge=0, le=1e5, description="density of the specific force [ug/sqrt(Hz)]")
-    gyro_bias_deg_s: float = Field(1.0, ge=0, le=100, description="offset of each turn rate, one sigma")
-    accel_bias_mg: float = Field(5.0, ge=0, le=1000, description="offset of each specific force, one sigma")
-    gyro_walk_deg_s: float = Field(5.6e-5, ge=0, le=1, description="random walk of that offset [deg/s/sqrt(s)]")
-    accel_walk_ug: float = Field(32.0, ge=0, le=1e5, description="random walk of that offset [ug/sqrt(s)]")
-
-    @property
-    def gyro_noise(self) -> float:
-        """Density of the turn rate [rad/s/sqrt(Hz)]."""
-        return math.radians(self.gyro_noise_deg_s)
-
-    @property
-    def accel_noise(self) -> float:
-        """Density of the specific force [m/s2/sqrt(Hz)]."""
-        return self.accel_noise_ug * 1e-6 * GRAVITY_M_S2
-
-    @property
-    def sigma(self) -> tuple[float, float]:
-        """One sigma of the white noise of turn rate [rad/s] and specific force [m/s2]."""
-        return self.gyro_noise * math.sqrt(self.rate_hz), self.accel_noise * math.sqrt(self.rate_hz)
-
-    @property
-    def bias(self) -> tuple[float, float]:
-        """One sigma of the offsets of turn rate [rad/s] and specific force [m/s2]."""
-        return math.radians(self.gyro_bias_deg_s), self.accel_bias_mg * 1e-3 * GRAVITY_M_S2
-
-    @property
-    def walk(self) -> tuple[float, float]:
-        """Random walk of the offsets of turn rate [rad/s/sqrt(s)] and specific force [m/s2/sqrt(s)]."""
-        return math.radians(self.gyro_walk_deg_s), self.accel_walk_ug * 1e-6 * GRAVITY_M_S2
 
 
 MPU6000 = ImuSpec(

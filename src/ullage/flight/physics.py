@@ -15,9 +15,9 @@ import numpy as np
 
 from ullage.arrays import Floats, Longs
 from ullage.data import even_times
-from ullage.flight.airframe import GRAVITY_M_S2, Airframe
+from ullage.flight.airframe import Airframe
 from ullage.flight.obstacles import Body
-from ullage.geometry import matrix_quat
+from ullage.geometry import GRAVITY_M_S2, matrix_quat
 
 PHYSICS_HZ = 500
 CONTROL_EVERY = 2  # physics steps per control step

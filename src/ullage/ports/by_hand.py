@@ -23,12 +23,11 @@ from pydantic import Field
 from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
-from ullage.flight.airframe import GRAVITY_M_S2
 from ullage.flight.imu import MPU6000, white_noise
 from ullage.flight.live import Steered, Wish
 from ullage.flight.pilot import HOVER, Pilot, PilotOptions, Velocity
 from ullage.flight.vehicle import check_clear
-from ullage.geometry import quat_matrix
+from ullage.geometry import GRAVITY_M_S2, quat_matrix
 from ullage.ports import encode
 from ullage.ports import schema as ros
 from ullage.ports.conversions import BODY

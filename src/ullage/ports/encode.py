@@ -94,22 +94,24 @@ def scan_message(sectors: ObstacleSectors, *, frame_id: str) -> bytes:
 
 
 def imu_message(
-    t_ns: int, quat_xyzw: Floats, rate_rad_s: Floats, acceleration_m_s2: Floats, *, frame_id: str,
+    t_ns: int, quat_xyzw: Floats | None, rate_rad_s: Floats, acceleration_m_s2: Floats, *, frame_id: str,
     variances: tuple[float, float] = (0.0, 0.0),
 ) -> bytes:  # fmt: skip
     """Encode attitude in the world, and turn rate and specific force in the body, as Imu; zero covariance: unknown.
 
     Args:
         t_ns: when [ns].
-        quat_xyzw: world_from_body (4).
+        quat_xyzw: world_from_body (4); None: unknown.
         rate_rad_s: in the body (3).
         acceleration_m_s2: acceleration less gravity in the body (3), +9.81 along z at rest as accelerometers give it.
         frame_id: of the body.
         variances: of each axis of turn rate [rad2/s2] and acceleration [m2/s4].
     """
     turning, pushing = (np.diag([v] * 3).ravel() for v in variances)
+    attitude, known = ((0, 0, 0, 1), np.diag([-1, 0, 0])) if quat_xyzw is None else (tuple(quat_xyzw), np.zeros(9))
     fields = {
-        "orientation": tuple(quat_xyzw), "angular_velocity": tuple(rate_rad_s), "angular_velocity_covariance": turning,
+        "orientation": attitude, "orientation_covariance": known.ravel().astype(float),
+        "angular_velocity": tuple(rate_rad_s), "angular_velocity_covariance": turning,
         "linear_acceleration": tuple(acceleration_m_s2), "linear_acceleration_covariance": pushing,
     }  # fmt: skip
     return ros.encoded(ros.IMU, fields, t_ns=t_ns, frame_id=frame_id)

@@ -62,6 +62,7 @@ class McapSource(Recording):
 
     def __init__(self, path: str | Path) -> None:
         super().__init__(path)
+        self.imu_files = (self.path,)
         with reading(self.path), open(self.path, "rb") as file:
             magic = file.read(len(MAGIC))
         if magic != MAGIC:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ullage.arrays import Floats, Longs
 from ullage.data import Frames, Imu, Trajectory, sensors_of
-from ullage.errors import InputError
+from ullage.errors import InputError, NotRecorded
 from ullage.ports.arrays import Arrays, names_in, read_npz, refuse_pickle
 from ullage.ports.intake import warn
 from ullage.ports.protocol import Source, WholeSource
@@ -23,6 +23,8 @@ BAGS = (".mcap", ".bag", ".db3")
 TRACK_FILES = (".csv", ".txt", ".tum", ".ulg", ".bin", ".nmea", ".ubx")
 TRACKS = ("mocap.csv", *(f"track{kind}" for kind in (*TRACK_FILES, *BAGS)))
 """Names of the radar's track in a folder with its recording."""
+IMUS = tuple(f"imu{kind}" for kind in (".ulg", ".bin", *BAGS))
+"""Names of the recorded inertial unit in that folder; else the track's file may hold it."""
 
 
 class RailSource(WholeSource):
@@ -34,15 +36,16 @@ class RailSource(WholeSource):
         reflectors: places of reflectors (r, 3), for comparison [m].
         survey: reflectors that may settle clock and range, from `reflectors.csv`; None: there is no such file.
         floor_z_m: height of the floor, where the track's kind says it [m].
+        imu_files: files that may hold an inertial unit.
     """
 
     def __init__(
         self, frames: list[Frames], *, path: Trajectory, reflectors: Floats, survey: Survey | None = None,
-        floor_z_m: float | None = None,
+        floor_z_m: float | None = None, imu_files: tuple[Path, ...] = (),
     ) -> None:  # fmt: skip
         super().__init__({one.sensor: one for one in frames}, path=path)
         self._reflectors = reflectors
-        self.survey, self.floor_z_m = survey, floor_z_m
+        self.survey, self.floor_z_m, self.imu_files = survey, floor_z_m, imu_files
 
     def reflectors(self) -> Floats:
         """True places of the reflectors (r, 3), world ENU [m]: those of `reflectors.csv`, else Motive's."""
@@ -116,7 +119,9 @@ def open_tracked(
     placed = found if inside is not None else [_beside(one, tracks[name], mount, folder) for one in found]
     floor_z_m = 0.0 if [one.name for one in there] == ["mocap.csv"] else None  # Motive's ground plane is on the floor
     reflectors = np.array(points).reshape(-1, 3)
-    return RailSource(placed, path=tracks[name], reflectors=reflectors, survey=survey, floor_z_m=floor_z_m)
+    units = (*(folder / name for name in IMUS if (folder / name).exists()), *there)
+    return RailSource(placed, path=tracks[name], reflectors=reflectors, survey=survey, floor_z_m=floor_z_m,
+                      imu_files=units)  # fmt: skip
 
 
 def read_radar_track(path: Path) -> Trajectory:
@@ -132,14 +137,15 @@ def read_radar_track(path: Path) -> Trajectory:
 def read_imu(path: str | Path, *, topic: str = "") -> Imu:
     """Read the inertial unit that a vehicle's log or a bag has recorded, for `ul.odometry`.
 
-    Its axes count as the body's, and its clock must be that of the frames.
+    Its axes count as the body's, its units as SI, and its clock as that of the track, or without one of the frames.
 
     Args:
         path: PX4's `.ulg`, ArduPilot's `.bin`, `.mcap`, `.bag`, `.db3`, or rosbag2's folder.
         topic: of sensor_msgs/Imu in a bag; none: the only one there.
 
     Raises:
-        InputError: the file is missing or of another kind, or has no readings.
+        NotRecorded: the file has no readings, or is of another kind.
+        InputError: it is missing or damaged, or its specific forces are not in m/s2 with gravity.
         MissingExtra: the library that reads it is not installed.
     """
     path = Path(path)
@@ -154,7 +160,7 @@ def read_imu(path: str | Path, *, topic: str = "") -> Imu:
         from ullage.ports.ros2.bags import imu_of_bag
 
         return imu_of_bag(path, topic=topic)
-    raise InputError(
+    raise NotRecorded(
         "no inertial unit is read from it", where=path, allowed=".ulg, .bin, .mcap, .bag, .db3 or a folder"
     )
 

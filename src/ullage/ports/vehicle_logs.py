@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 from ullage.arrays import Floats
 from ullage.data import Imu, Trajectory
-from ullage.errors import InputError, need
-from ullage.geometry import rpy_quat
+from ullage.errors import InputError, NotRecorded, need
+from ullage.geometry import GRAVITY_M_S2, rpy_quat
 from ullage.ports.intake import warn
 from ullage.ports.ned import FLIP, SWAP, Geodetic, datum_of, enu_quat
 from ullage.untrusted import reading
@@ -124,7 +124,7 @@ def _ulog(path: Path, names: list[str]) -> list[dict[str, Any]]:
     library: Any = need("pyulog", extra="logs")
     found = {one.name: one.data for one in library.ULog(str(path), names).data_list if one.multi_id == 0}
     if missing := [name for name in names if name not in found]:
-        raise InputError(f"no {' and no '.join(missing)}", where=path, allowed="a log of a flight by PX4")
+        raise NotRecorded(f"no {' and no '.join(missing)}", where=path, allowed="a log of a flight by PX4")
     return [found[name] for name in names]
 
 
@@ -204,15 +204,20 @@ def imu_of_rows(t_ns: Any, readings: Floats, path: Path) -> Imu:
         path: for messages.
 
     Raises:
-        InputError: fewer than two can be used.
+        NotRecorded: fewer than two can be used.
+        InputError: the specific forces are not in m/s2, or lack gravity.
     """
     good = np.asarray(np.isfinite(readings).all(1))
     times, first = np.unique(np.asarray(t_ns, np.int64)[good], return_index=True)
     if len(times) < 2:
-        raise InputError(f"{len(times)} readings of an inertial unit in it", where=path, allowed="two or more")
+        raise NotRecorded(f"{len(times)} readings of an inertial unit in it", where=path, allowed="two or more")
     if not good.all():
         warn(f"{path}: {int((~good).sum())} of {len(good)} readings of the inertial unit are no numbers; left out")
     kept = readings[good][first]
+    usual = float(np.median(np.linalg.norm(kept[:, 3:], axis=1)))
+    if not GRAVITY_M_S2 / 2 < usual < GRAVITY_M_S2 * 2:  # g, ft/s2 and forces without gravity are further away
+        raise InputError(f"a specific force of {usual:.3g} m/s2 in the median", where=path,
+                         allowed=f"m/s2 with gravity, within a factor of 2 of {GRAVITY_M_S2}")  # fmt: skip
     return Imu(times, kept[:, :3], kept[:, 3:])
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from ullage.data import Frames, Imu, Trajectory
-from ullage.errors import DamageWarning, InputError, UllageWarning
+from ullage.errors import DamageWarning, InputError, NotRecorded, UllageWarning
 from ullage.geometry import matrix_quat
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions
@@ -125,6 +125,7 @@ class RosbagSource(Recording):
 
     def __init__(self, path: Path, **options: Any) -> None:
         super().__init__(path)
+        self.imu_files = (self.path,)
         chosen = options_of(BagOptions, options, str(path))
         self._bag = Bag.of(path)
         self._kinds = self._bag.kinds
@@ -253,7 +254,7 @@ def imu_of_bag(path: Path, *, topic: str = "") -> Imu:
     there = [name for name, kind in bag.kinds.items() if kind == ros.IMU]
     if (topic and topic not in there) or (not topic and len(there) != 1):
         what = f"no Imu on {topic}" if topic else f"{len(there)} topics hold an inertial unit: say topic="
-        raise InputError(what, where=path, allowed=", ".join(there) or bag.listed())
+        raise (InputError if there else NotRecorded)(what, where=path, allowed=", ".join(there) or bag.listed())
     messages = (data for _, data in bag.messages([topic or there[0]]))
     found = list(_sound(ros.IMU, messages=messages, decode=ros.from_bytes, path=path))
     parts = [(one.angular_velocity, one.linear_acceleration) for one in found]

@@ -12,9 +12,9 @@ import math
 import numpy as np
 
 from ullage.arrays import Floats
-from ullage.flight.airframe import GRAVITY_M_S2
-from ullage.flight.imu import ImuSpec
+from ullage.geometry import GRAVITY_M_S2
 from ullage.processing.odometry.jets import UP, Jet, cross
+from ullage.specs import ImuSpec
 
 BODY = 15  # attitude, position, velocity, bias of turn rate, bias of specific force
 _TURN, _PLACE, _SPEED, _GYRO, _ACCEL = (slice(k, k + 3) for k in range(0, BODY, 3))

@@ -20,16 +20,14 @@ from ullage.antenna import boresight_pattern
 from ullage.arrays import Bools, Floats
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
-from ullage.flight.airframe import GRAVITY_M_S2
-from ullage.flight.imu import ImuSpec
-from ullage.geometry import matrix_quat, quat_rpy, transform
+from ullage.geometry import GRAVITY_M_S2, matrix_quat, quat_rpy, transform
 from ullage.processing import bearings
 from ullage.processing.bearings import CELLS, RadarView
 from ullage.processing.odometry.echo_list import EchoList, view_of
 from ullage.processing.odometry.inertial import Block, Filter
 from ullage.processing.odometry.jets import LEVEL, SIZE, UP, Jet, cross
 from ullage.processing.range_tracks import Motion, RangeTracker, Track
-from ullage.specs import RadarSpec, Spec
+from ullage.specs import ImuSpec, RadarSpec, Spec
 
 
 class OdometrySpec(Spec):
