@@ -28,6 +28,7 @@ from ullage.files import write_whole, writing
 Progress = Callable[[int, int, str], None]
 Row = dict[str, Any]
 
+CARD = Path(__file__).with_name("dataset_card.md.jinja")
 SHARD, SMALL_SHARD, SMALL_N = 64, 8, 1024
 """Samples in a file of a large data set and of one with fewer samples than `SMALL_N`."""
 
@@ -323,35 +324,12 @@ def _locked(lock: Path, how: int) -> Iterator[None]:
 
 def _write_card(store: Store) -> None:
     """Write the data card beside the store: what it holds, how it was made, limits, licence."""
-    spec = store.spec
-    lines = [
-        f"# {store.path.name}",
-        "",
-        f"{store.n} samples, simulated by ullage {spec.version}, format {spec.format}.",
-        "",
-        "| setting | value |",
-        "|---|---|",
-        f"| worlds | {', '.join(Path(kind).name for kind in spec.kinds)} |",
-        f"| seed | {spec.seed} |",
-        f"| frames of each of {len(SENSORS)} radars | {spec.frames} |",
-        f"| reflections computed | {', '.join(map(str, spec.bounces))} |",
-        "",
-        "Sample k is drawn from the seed and k alone, so the same settings make it again.",
-        "",
-        "| array | one sample | type | content |",
-        "|---|---|---|---|",
-        *(
-            f"| `{name}` | {' x '.join(map(str, a.shape))} ({', '.join(a.names)}) | {np.dtype(a.dtype).name} "
-            f"| {CONTENT[name]} |"
-            for name, a in layout(spec).items()
-        ),
-        "",
-        "`index/*.parquet` holds a row for each sample: kind of world, seeds, noise, antenna, names and materials of",
-        "the objects, and in `failed` why a sample is empty. Samples without a row have not been made.",
-        "",
-        "Limits: the worlds are drawn, not measured. The radar is a model with the limits that ullage's documentation",
-        "states. `occupancy` is a level cut at the mean height of the track.",
-        "",
-        "Licence: the data belong to whoever made them. ullage places no condition on them.",
-    ]  # fmt: skip
-    write_whole(store.path.with_suffix(".md"), lambda file: file.write("\n".join(lines).encode() + b"\n"))
+    from jinja2 import Environment, StrictUndefined
+
+    plain = Environment(undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
+    spec, arrays = store.spec, layout(store.spec)
+    text = plain.from_string(CARD.read_text(encoding="utf-8")).render(
+        store=store, spec=spec, sensors=len(SENSORS), worlds=[Path(kind).name for kind in spec.kinds], arrays=arrays,
+        types={name: np.dtype(one.dtype).name for name, one in arrays.items()}, content=CONTENT,
+    )  # fmt: skip
+    write_whole(store.path.with_suffix(".md"), lambda file: file.write(text.encode()))

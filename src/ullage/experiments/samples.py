@@ -163,7 +163,7 @@ def sample(spec: SampleSpec, k: int) -> tuple[dict[str, NDArray[Any]], dict[str,
         "occupancy": _patch(scene, frames, origin, height),
         "patch_origin_m": origin,
         "surfaces_m": _segments(scene, origin, height),
-        **_echoes(scene, frames, drawn.bounces),
+        **_echoes(spec, scene, frames, drawn.bounces),
     }
     return arrays, drawn.row
 
@@ -202,16 +202,10 @@ def _segments(scene: Scene, origin: Floats, height: float) -> Singles:
     return out
 
 
-def _echoes(scene: Scene, frames: dict[str, Frames], bounces: int) -> dict[str, NDArray[Any]]:
+def _echoes(spec: SampleSpec, scene: Scene, frames: dict[str, Frames], bounces: int) -> dict[str, NDArray[Any]]:
     """The strongest echoes of each radar's middle frame; object -1 and NaN where there are fewer."""
-    shape = (len(SENSORS), ECHOES)
-    out: dict[str, NDArray[Any]] = {
-        "echo_object": np.full(shape, -1, np.int32),
-        "echo_bounces": np.zeros(shape, np.int8),
-        "echo_range_m": np.full(shape, np.nan, np.float32),
-        "echo_gain_db": np.full(shape, np.nan, np.float32),
-        "echo_point_m": np.full((*shape, 3), np.nan, np.float32),
-    }
+    axes = {name: one for name, one in layout(spec).items() if name.startswith("echo_")}
+    out: dict[str, NDArray[Any]] = {name: np.full(one.shape, one.fill, one.dtype) for name, one in axes.items()}
     number = {thing.name: i for i, thing in enumerate(scene.objects)}
     for row, name in enumerate(SENSORS):
         part = frames[name]

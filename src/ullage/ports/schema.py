@@ -12,6 +12,7 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -51,66 +52,10 @@ PILOT_VELOCITY, PILOT_PLACE = "pilot/cmd_vel", "pilot/pose"
 """Topics of the commands that a vehicle got: what is published on `cmd_vel` would come back as a command."""
 
 DEFINITIONS = {
-    FRAME: """\
-# One frame of one ultra-wideband radar, without loss.
-uint8 BASEBAND=0  # samples are re, im, re, im, ...
-uint8 REAL=1      # one sample a bin: RF or amplitude
-std_msgs/Header header  # when, and the frame of reference of the sensor: x along its boresight
-string sensor
-uint32 index            # counts the frames of this sensor
-uint8 kind
-bool has_believed
-bool has_truth
-float64 range_start     # range of bin 0 [m]
-float64 range_step      # mean range between bins [m]
-geometry_msgs/Pose believed        # world from sensor, as the drone believes
-geometry_msgs/Twist believed_rate  # linear in the world, angular in the sensor's frame
-geometry_msgs/Pose truth           # world from sensor, as it was
-geometry_msgs/Twist truth_rate
-float32[] samples
-""",
-    SETTINGS: """\
-# What holds for all frames of one radar until the next message of this kind.
-std_msgs/Header header
-string sensor
-string unit         # path_gain: sqrt(received / transmitted power); normalised: the sensor's own; thesis: eq. 4.2
-string settings     # JSON, the fields of ullage.RadarSpec
-string calibration  # JSON, the fields of ullage.data.Calibration; empty if none
-float64[] range     # of each bin [m]
-""",
-    TRACK: """\
-# The whole track of one sensor in the clock of whatever measured it.
-std_msgs/Header header
-string sensor
-int64[] time      # [ns], rising
-float64[] state   # 13 a time: position [m], quaternion xyzw, velocity [m/s] in the world, rate [rad/s] in the sensor
-""",
-    CELLS: """\
-# A map of square cells on a plane or cubes in a volume, without loss.
-std_msgs/Header header
-string method
-float64[3] origin      # lower corner of the first cell [m]; z of a plane may be NaN
-float64 step           # edge of a cell [m]
-uint32[] shape         # ny nx, or nz ny nx
-int8 occupied_from     # percent at and above which a cell counts as occupied
-int8 free_to           # percent at and below which it counts as free
-int8[] percent         # 0..100 occupied, -1 unknown, -2 ambiguous; x runs fastest
-""",
-    RAW: """\
-# One packet of IMC, the protocol of DUNE and Neptus, without loss.
-std_msgs/Header header  # time of the packet
-string name             # of its message; empty if unknown
-uint16 id               # number of its message
-uint16 src              # address of the system that sent it
-uint8 src_ent           # and number of the part of it
-uint16 dst              # address of the system that it is for; 65535: all
-uint8 dst_ent
-uint8[] data            # every byte, from sync to checksum
-""",
-    # two of the public interfaces, for environments that lack their packages
-    TRANSFORMS: "geometry_msgs/TransformStamped[] transforms\n",
-    UPDATE: "std_msgs/Header header\nint32 x\nint32 y\nuint32 width\nuint32 height\nint8[] data\n",
+    kind: Path(__file__).with_name("messages").joinpath(f"{kind}.msg").read_text(encoding="utf-8")
+    for kind in (FRAME, SETTINGS, TRACK, CELLS, RAW, TRANSFORMS, UPDATE)
 }
+"""Text of each message of ullage, and of two public ones that environments may lack."""
 
 
 Quality = Literal["sensor", "stream", "transforms", "latched", "relayed"]
