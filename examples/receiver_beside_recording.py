@@ -4,8 +4,10 @@ import sys
 import warnings
 from pathlib import Path
 
+sys.path.append(str(Path(__file__).parents[1]))  # the figure is one of the studies, beside the package
+
 import ullage as ul
-from ullage.view.receiver_figure import draw_receiver
+from studies.receiver_figure import draw_receiver
 
 
 def main(recording: str, figure: str) -> None:

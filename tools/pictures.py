@@ -1,8 +1,8 @@
 """Draw the pictures of the documentation that need no recordings: python tools/pictures.py [NAMES].
 
 `docs/pictures/drawn.json` holds a digest of the code that drew each: its script or the cells of its tutorial, and the
-modules of `ullage.view` that this imports. `stale` lists the pictures whose code has changed since. A tutorial's
-picture and the stored outputs of its notebook are made together.
+modules of `ullage.view` and of the studies that this imports. `stale` lists the pictures whose code has changed since.
+A tutorial's picture and the stored outputs of its notebook are made together.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ ROOT = Path(__file__).parents[1]
 PICTURES = ROOT / "docs" / "pictures"
 DRAWN = PICTURES / "drawn.json"
 PLOTS = "ullage.view.plots"
+BEHIND = ("ullage.view.", "studies.")
+"""Where the modules lie that drawings import and digests follow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +35,7 @@ class Drawing:
 
     pictures: tuple[str, ...]  # below docs/pictures
     script: Path  # run bare, it leaves the pictures in the folder where it runs, or writes them to their place
-    modules: tuple[str, ...] = ()  # of ullage.view that the script runs and does not import
+    modules: tuple[str, ...] = ()  # of `BEHIND` that the script runs and does not import
     commands: tuple[tuple[str, ...], ...] = ()  # words behind `python -m`, in place of the script
     left: str = ""  # where these leave the picture; empty: under its own name
 
@@ -64,7 +66,7 @@ def drawings() -> list[Drawing]:
 
 
 def digest(drawing: Drawing) -> str:
-    """Return the digest of a drawing's own code and of the modules of `ullage.view` behind it."""
+    """Return the digest of a drawing's own code and of the modules of `BEHIND` that it imports."""
     text = "" if drawing.commands else drawing.script.read_text(encoding="utf-8")
     if drawing.script.suffix == ".ipynb":
         text = "\n".join(code for _, code in notebooks.blocks(drawing.script))
@@ -76,20 +78,20 @@ def digest(drawing: Drawing) -> str:
 
 
 def _imported(text: str) -> Iterator[str]:
-    """Give the modules of `ullage.view` that a source imports, anywhere in it."""
+    """Give the modules of `BEHIND` that a source imports, anywhere in it."""
     for node in ast.walk(ast.parse(text)):
         names = [one.name for one in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
         if isinstance(node, ast.ImportFrom):
             names = [node.module or "", *(f"{node.module}.{name}" for name in names)]
-        yield from (name for name in names if name.startswith("ullage.view.") and _file(name).is_file())
+        yield from (name for name in names if name.startswith(BEHIND) and _file(name).is_file())
 
 
 def _file(module: str) -> Path:
-    return ROOT / "src" / Path(*module.split(".")).with_suffix(".py")
+    return ROOT / ("src" if module.startswith("ullage") else "") / Path(*module.split(".")).with_suffix(".py")
 
 
 def _with_imports(modules: Iterable[str]) -> set[str]:
-    """Return modules of `ullage.view` with those that they import."""
+    """Return modules of `BEHIND` with those that they import."""
     found: set[str] = set()
     left = list(modules)
     while left:
@@ -107,7 +109,7 @@ def stale() -> list[str]:
 
 def draw(drawing: Drawing) -> None:
     """Run the code of a drawing in an empty folder and take over the pictures that it leaves."""
-    search = {"PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT / 'tools'}", "MPLBACKEND": "agg"}
+    search = {"PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT / 'tools'}{os.pathsep}{ROOT}", "MPLBACKEND": "agg"}
     script = ("notebooks.py", drawing.script.stem) if drawing.script.suffix == ".ipynb" else (drawing.script.name,)
     bare = drawing.script.parent if drawing.script.suffix == ".py" else ROOT / "tools"
     words = [["-m", *one] for one in drawing.commands] or [[str(bare / script[0]), *script[1:]]]

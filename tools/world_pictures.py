@@ -1,4 +1,4 @@
-"""Draw the documentation's pictures of the worlds: python tools/world_pictures.py."""
+"""Draw the documentation's pictures of the worlds; python tools/pictures.py worlds/random.png runs it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from pathlib import Path
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from ullage.view.world_picture import PATH_COLOR, save_palette_png, world_picture
+from studies.cutaway import world_picture
+from ullage.view.world_picture import PATH_COLOR, save_palette_png
 from ullage.world.library import WORLDS
 from ullage.world.section import section
 from ullage.worlds import KINDS, flight, random

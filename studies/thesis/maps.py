@@ -93,7 +93,7 @@ def show_world(work: Workspace, world: str, path: Path, figure: str, caption: st
     """Draw the world as a cutaway, and a plan with the flight."""
     if work.quick:
         return  # the documentation shows it
-    from ullage.view.world_picture import world_picture
+    from studies.cutaway import world_picture
 
     one = WORLDS[world]
     world_picture(one.scene(), path, waypoints=np.array(one.path_xyzyaw), title=one.title, **one.view)

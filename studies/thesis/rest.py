@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 
+from studies.receiver_figure import draw_receiver
 from studies.thesis.workspace import Workspace
 from ullage.arrays import Complexes
 from ullage.data import Frames
@@ -13,7 +14,6 @@ from ullage.errors import UllageWarning
 from ullage.ports.registry import open as open_source
 from ullage.radar.receiver import receive, unit
 from ullage.specs import RadarSpec
-from ullage.view.receiver_figure import draw_receiver
 
 READS = ("x4/xethru_datafloat_20190614_141837.dat",)
 STILL = slice(200, 4900)

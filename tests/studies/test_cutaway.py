@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.view.world_picture import world_picture
+from studies.cutaway import world_picture
 from ullage.world.scene import Scene
 
 RED, GREEN, BLUE = "#ff0000", "#00ff00", "#0000ff"

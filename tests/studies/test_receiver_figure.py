@@ -7,9 +7,9 @@ import pytest
 from PIL import Image
 
 import ullage as ul
+from studies.receiver_figure import draw_receiver
 from ullage.errors import InputError
 from ullage.radar.receiver import unit
-from ullage.view.receiver_figure import draw_receiver
 
 
 def at_rest(n=60):
