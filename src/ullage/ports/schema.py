@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +51,10 @@ DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 PILOT_VELOCITY, PILOT_PLACE = "pilot/cmd_vel", "pilot/pose"
 """Topics of the commands that a vehicle got: what is published on `cmd_vel` would come back as a command."""
 
+MESSAGES = Path(__file__).with_name("messages")
+"""Folder of the definitions and of the table of topics."""
 DEFINITIONS = {
-    kind: Path(__file__).with_name("messages").joinpath(f"{kind}.msg").read_text(encoding="utf-8")
+    kind: (MESSAGES / f"{kind}.msg").read_text(encoding="utf-8")
     for kind in (FRAME, SETTINGS, TRACK, CELLS, RAW, TRANSFORMS, UPDATE)
 }
 """Text of each message of ullage, and of two public ones that environments may lack."""
@@ -87,55 +89,13 @@ class Topic(NamedTuple):
     about: str
 
 
-TOPICS = {
-    "radar/NAME/frame": Topic(FRAME, "sensor", "every sample, with the pose of the radar as believed and as it was"),
-    "radar/NAME/settings": Topic(
-        SETTINGS, "latched", "unit, range axis, `RadarSpec` and calibration, all fields; at first and on change"
-    ),
-    "radar/NAME/track": Topic(TRACK, "latched", "all poses, where they come from a clock of their own"),
-    "radar/NAME/profile": Topic(CLOUD, "sensor", "profile along the boresight, with intensity, for viewers"),
-    "radar/NAME/range": Topic(RANGE, "sensor", "nearest echo; +inf: none (REP-117)"),
-    "radar/NAME/detections": Topic(CLOUD, "sensor", "detections in `map`: place, amplitude, range, SNR"),
-    "radar/NAME/rays": Topic(
-        MARKERS, "latched", "with `rays=true`: at most 225 rays of the ray model in the frame of the radar, once"
-    ),
-    "obstacles": Topic(
-        SCAN, "sensor", "nearest obstacle in 72 level directions, where a run measures them; +inf: none, NaN: unknown"
-    ),
-    "/tf": Topic(TRANSFORMS, "transforms", "`odom` to `base_link`, as believed"),
-    "/tf_static": Topic(TRANSFORMS, "latched", "`map` to `odom`, and `base_link` to each radar (REP-105)"),
-    "odom": Topic(ODOMETRY, "stream", "pose and velocity of the body, as believed"),
-    "truth/odom": Topic(ODOMETRY, "stream", "the same as it was, in a simulation"),
-    PILOT_VELOCITY: Topic(
-        TWIST_STAMPED, "relayed", "by hand: each velocity command within its limits, level in the heading; 0: hover"
-    ),
-    PILOT_PLACE: Topic(POSE, "relayed", "by hand: each set-point, in `map`"),
-    "path": Topic(PATH, "latched", "path of the body, once a second, less often as it grows"),
-    "map": Topic(GRID, "latched", "plane map, whole: at first, every `map_full_s`, for new subscribers, at the end"),
-    "map_updates": Topic(UPDATE, "stream", "the box of cells that changed, between whole maps"),
-    "map/cells": Topic(CELLS, "latched", "plane map or volume without loss, with each whole map"),
-    "map/plane": Topic(
-        MARKERS, "latched",
-        "plane map for viewers, with each whole map: free, ambiguous and occupied cells, each kind with its own "
-        "namespace; unknown cells are not drawn",
-    ),
-    "map/surfaces": Topic(
-        MARKERS, "latched",
-        'surfaces that `method="likelihood"` estimates, with each whole map: a short line at each specular point, two '
-        "across each other in a volume, a namespace for each kind",
-    ),
-    "map/occupied": Topic(CLOUD, "latched", "occupied cells of a volume"),
-    "map/cubes": Topic(MARKERS, "latched", "likeliest occupied cells of a volume, coloured by height"),
-    "world": Topic(MARKERS, "latched", "the simulated world"),
-    "image": Topic(PICTURE, "latched", "SAR image as mono8 (40 dB), five a second while a live run flies"),
-    "image/amplitude": Topic(PICTURE, "latched", "the same as 32FC1, as often as whole maps"),
-    "/clock": Topic(CLOCK, "stream", "at 40 Hz and at each frame, unless the stamps are of the present"),
-    "/diagnostics": Topic(
-        DIAGNOSTICS, "stream",
-        "once a second: the sink's pace and frames; what a source received and dropped; of simulated radars on a live "
-        "vehicle the frames simulated, late and dropped, and contacts; CPU and memory of each process",
-    ),
-}  # fmt: skip
+def _topic(line: str) -> tuple[str, Topic]:
+    """A line of `topics.txt`: topic, type, quality, and what it says."""
+    name, kind, quality, about = line.split(" | ")
+    return name, Topic(kind, cast("Quality", quality), about)
+
+
+TOPICS = dict(map(_topic, (MESSAGES / "topics.txt").read_text(encoding="utf-8").splitlines()))
 """What is published, and recorded, by topic: NAME stands for a radar, and / for what has no namespace."""
 
 

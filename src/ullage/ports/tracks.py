@@ -51,13 +51,11 @@ def read_bodies(path: str | Path) -> dict[str, Trajectory]:
     Raises:
         InputError: the file is of no known kind, holds no pose, or a line of it cannot be read.
     """
-    path = Path(path)
-    with reading(path):
-        lines = path.read_text("utf-8-sig", errors="replace").splitlines()
+    path, lines = _lines_of(path)
     if not any(line.strip() for line in lines):
         raise InputError("the file is empty", where=path, allowed=KINDS)
     if any(line.startswith("Frame,") for line in lines[:50]) or lines[0].startswith("Format Version"):
-        return read_tracks(path)
+        return _motive_bodies(lines, path)
     first = next(line for line in lines if line.strip())
     named = [name.strip() for name in first.split(",")]
     names: Sequence[str] = named if "x_m" in named else EUROC if first.startswith("#timestamp") else TUM
@@ -67,6 +65,13 @@ def read_bodies(path: str | Path) -> dict[str, Trajectory]:
     header = lines.index(first) + 1 if names is named else 0
     rows = [row for row in _lines_of_cells(lines, blanks=names is TUM) if row[0] > header]
     return {"radar": _track(_numbers(rows, names, path), names, path)}
+
+
+def _lines_of(path: str | Path) -> tuple[Path, list[str]]:
+    """The path, and the lines of its text."""
+    path = Path(path)
+    with reading(path):
+        return path, path.read_text("utf-8-sig", errors="replace").splitlines()
 
 
 def _lines_of_cells(lines: list[str], *, blanks: bool = False) -> Iterator[tuple[int, list[str]]]:
@@ -160,9 +165,11 @@ def read_tracks(path: str | Path) -> dict[str, Trajectory]:
     Raises:
         InputError: it is no Motive export that can be used, or no rigid body was seen in it.
     """
-    path = Path(path)
-    with reading(path):
-        lines = path.read_text("utf-8-sig", errors="replace").splitlines()
+    path, lines = _lines_of(path)
+    return _motive_bodies(lines, path)
+
+
+def _motive_bodies(lines: list[str], path: Path) -> dict[str, Trajectory]:
     start = next((i for i, line in enumerate(lines[:50]) if line.startswith("Frame,")), None)
     if not start:  # none, or without the lines above it
         raise InputError("no line that starts with Frame,Time", where=path, allowed="a Motive .csv export")
@@ -264,9 +271,7 @@ def read_survey(path: str | Path) -> Survey:
     Raises:
         InputError: a column is missing, a cell is no finite number within 10 km, a place comes twice, or there is none.
     """
-    path = Path(path)
-    with reading(path):
-        lines = path.read_text("utf-8-sig", errors="replace").splitlines()
+    path, lines = _lines_of(path)
     rows = [(number, [cell.strip() for cell in cells]) for number, cells in _lines_of_cells(lines)]
     if not rows:
         raise InputError("the file is empty", where=path, allowed=COLUMNS)

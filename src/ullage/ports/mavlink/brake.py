@@ -20,7 +20,7 @@ from ullage.config import GuardSpec
 from ullage.data import Trajectory
 from ullage.geometry import rpy_quat
 from ullage.ports.intake import Once
-from ullage.ports.mavlink.link import Link
+from ullage.ports.mavlink.link import Link, command_to
 from ullage.ports.mavlink.options import SinkOptions
 from ullage.processing.guard import Guard
 from ullage.processing.obstacles import STALE_S, ObstacleSectors
@@ -150,10 +150,6 @@ class ModeBrake:
         if self._asks == ASKS:
             self._warn("guard: no answer to BRAKE")
             return
-        self._link.send(
-            d.MAVLink_command_long_message(
-                there.system, there.component, d.MAV_CMD_DO_SET_MODE, self._asks,
-                d.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, BRAKE, 0, 0, 0, 0, 0,
-            )
-        )  # fmt: skip
+        mode = d.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, BRAKE
+        self._link.send(command_to(there, d.MAV_CMD_DO_SET_MODE, *mode, confirmation=self._asks))
         self._asks, self._asked_s = self._asks + 1, now

@@ -18,7 +18,7 @@ from ullage.geometry import invert, quat_rpy
 from ullage.ports.drone import Drone
 from ullage.ports.intake import warn
 from ullage.ports.mavlink.brake import ASK_S, ASKS, BRAKE, COPTERS
-from ullage.ports.mavlink.link import leave, open_link
+from ullage.ports.mavlink.link import command_to, leave, open_link
 from ullage.ports.mavlink.options import DroneOptions
 from ullage.ports.mavlink.source import LOCAL_NED, PoseFeed, origin_of
 from ullage.ports.ned import SWAP
@@ -144,8 +144,7 @@ class MavlinkDrone(Drone):
             return
         self._answers.pop(command, None)
         for count in range(ASKS):
-            fields = (*values, *[0.0] * (7 - len(values)))
-            self._link.send(d.MAVLink_command_long_message(there.system, there.component, command, count, *fields))
+            self._link.send(command_to(there, command, *values, confirmation=count))
             until = time.monotonic() + ASK_S
             while command not in self._answers and time.monotonic() < until:
                 time.sleep(0.01)

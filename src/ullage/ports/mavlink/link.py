@@ -151,6 +151,12 @@ class Autopilot:
     there: bool = True
 
 
+def command_to(there: Autopilot, command: int, *values: float, confirmation: int = 0) -> Any:
+    """COMMAND_LONG to an autopilot, with up to seven parameters; the others are 0."""
+    fields = (*values, *[0.0] * (7 - len(values)))
+    return mavlink().MAVLink_command_long_message(there.system, there.component, command, confirmation, *fields)
+
+
 class Link(Closing):
     """Speaks with one autopilot, from a thread of its own.
 
@@ -381,12 +387,7 @@ class Link(Closing):
         self._requested, self._answers = tuple(kind for kind in POSES if kind not in self._denied), []
         for kind in self._requested:
             number = getattr(d, f"MAVLINK_MSG_ID_{kind}")
-            self.send(
-                d.MAVLink_command_long_message(
-                    there.system, there.component, d.MAV_CMD_SET_MESSAGE_INTERVAL, 0,
-                    number, 1e6 / rate_hz, 0, 0, 0, 0, 0,
-                )
-            )  # fmt: skip
+            self.send(command_to(there, d.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_hz))
 
 
 _links: SharedLinks[Link] = SharedLinks()
