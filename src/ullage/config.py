@@ -253,6 +253,10 @@ class Bound(Spec):
     min: float | None = None
     max: float | None = None
 
+    def holds(self, value: float | None) -> bool:
+        """Return whether a value is known and within the bound."""
+        return value is not None and (self.min is None or value >= self.min) and (self.max is None or value <= self.max)
+
 
 Task = Literal["detect", "image", "map", "obstacles"]
 

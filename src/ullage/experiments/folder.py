@@ -331,18 +331,13 @@ class Verdict:
     @property
     def inside(self) -> bool:
         """Whether the metric is known and within its bound."""
-        if self.value is None:
-            return False
-        low, high = self.bound.min, self.bound.max
-        return (low is None or self.value >= low) and (high is None or self.value <= high)
+        return self.bound.holds(self.value)
 
     @property
     def text(self) -> str:
         """Metric, value and bound in one line."""
-        low, high = self.bound.min, self.bound.max
-        limits = " and ".join(
-            s for s in ("" if low is None else f">= {low:g}", "" if high is None else f"<= {high:g}") if s
-        )
+        ends = ((">=", self.bound.min), ("<=", self.bound.max))
+        limits = " and ".join(f"{sign} {end:g}" for sign, end in ends if end is not None)
         value = "unknown" if self.value is None else f"{self.value:.4g}"
         return f"{self.name} {value}, wanted {limits or 'known'}"
 

@@ -20,11 +20,13 @@ from ullage.experiments.radar_poses import LivePoses
 from ullage.flight.live import Steered, Wish
 from ullage.flight.navigation import navigate
 from ullage.flight.vehicle import check_clear
+from ullage.ports.received import ReceivedRadars
+from ullage.ports.vehicle import LiveVehicle
 from ullage.processing.guard import Guard, Limit, State
 from ullage.processing.obstacles import ObstacleSectors, ObstacleStage
 from ullage.radar.receiving import Receiving
 from ullage.radar.worker_pool import cores
-from ullage.specs import RadarSpec, Rig
+from ullage.specs import Rig
 from ullage.world.scene import Scene
 
 Progress = Callable[[float], None]
@@ -105,50 +107,6 @@ class Pilot(Protocol):
         """Velocity (3) wanted at a believed position (3) [m/s]."""
 
 
-class Vehicle(Protocol):
-    """A multirotor that flies as it is asked to: the simulated one, or an aircraft behind a port."""
-
-    @property
-    def hull_m(self) -> float:
-        """From its centre to its farthest part [m]."""
-
-    @property
-    def contacts(self) -> tuple[tuple[int, int, float], ...]:
-        """Each known contact: control step at which it began, number of the object, speed [m/s]."""
-
-    @property
-    def ended(self) -> str:
-        """Why it flies no more as it is asked to; empty while it does."""
-
-    def fly_to(self, t_ns: int) -> Trajectory | None:
-        """Fly until a time of the flight and return the pose then, or the next one [ns]; None: it has ended."""
-
-    def ask(self, wish: Wish) -> None:
-        """Change the request."""
-
-    def release(self, *, landed: bool) -> None:
-        """End the flight: on the ground, or hovering."""
-
-
-class Radars(Protocol):
-    """Radars on one body: simulated, or real ones."""
-
-    @property
-    def sensors(self) -> Mapping[str, RadarSpec]:
-        """Settings of each radar by name."""
-
-    def receive(self, body: Trajectory, number: int) -> dict[str, Frames]:
-        """Return the frames since the last call, up to the time of the body's pose.
-
-        Args:
-            body: one pose, where the body is.
-            number: of the step.
-        """
-
-    def close(self) -> None:
-        """End."""
-
-
 class SimulatedRadars:
     """Radars that are simulated at each pose, each in a thread of its own."""
 
@@ -165,6 +123,12 @@ class SimulatedRadars:
     def close(self) -> None:
         """End the threads."""
         self._pool.shutdown()
+
+
+Vehicle = Steered | LiveVehicle
+"""A multirotor that flies as it is asked to: the simulated one, or an aircraft behind a port."""
+Radars = SimulatedRadars | ReceivedRadars
+"""Radars on one body: simulated, or real ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,6 +12,7 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
+from ullage.config import Bound
 from ullage.errors import InputError
 from ullage.files import write_whole
 from ullage.untrusted import load_yaml
@@ -196,10 +197,9 @@ def _object(one: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _row(name: str, metric: Mapping[str, Any], bound: Mapping[str, float | None]) -> dict[str, str]:
-    value, low, high = metric["value"], bound.get("min"), bound.get("max")
-    text = " .. ".join("" if k is None else f"{k:g}" for k in (low, high)) if bound else ""
-    inside = value is not None and (low is None or value >= low) and (high is None or value <= high)
-    verdict = ("good" if inside else "bad") if bound else ""
+    value = metric["value"]
+    text = " .. ".join("" if (k := bound.get(end)) is None else f"{k:g}" for end in ("min", "max")) if bound else ""
+    verdict = ("good" if Bound(**bound).holds(value) else "bad") if bound else ""
     shown = "unknown" if value is None else f"{value:.4g}"
     return {"name": name.replace("_", " "), "value": shown, "unit": metric["unit"], "bounds": text,
             "verdict": verdict, "meaning": meaning(name)[1]}  # fmt: skip

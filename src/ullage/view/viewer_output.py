@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Event
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 from ullage.errors import InputError
@@ -33,13 +33,6 @@ USAGE = (
     "viewer:, viewer:web, viewer:FILE.rrd, or viewer:rerun+http://HOST:9876/proxy of a running viewer; "
     "then ?rays=true, ?port=PORT, ?host=ADDRESS"
 )
-
-
-@runtime_checkable
-class Page(Protocol):
-    """A sink that may serve a page."""
-
-    address: str  # address of the page, empty if none is served
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +191,7 @@ def _end_with_parent() -> Callable[[], object] | None:
 
 def keep_serving(sinks: Iterable[object]) -> None:
     """Wait for Ctrl-C where a sink serves a page, since the page ends with the process."""
-    pages = [sink.address for sink in sinks if isinstance(sink, Page) and sink.address]
+    pages = [address for sink in sinks if (address := getattr(sink, "address", ""))]
     for address in pages:
         answer(f"viewer: {address} is served until Ctrl-C")
     if pages:

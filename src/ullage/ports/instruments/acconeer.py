@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from ullage.data import Unit
 from ullage.errors import InputError, need, one_line
 from ullage.geometry import C0
-from ullage.ports.instruments.source import InstrumentOptions, InstrumentSource, Scan, host_and_port, split_options
-from ullage.ports.protocol import Source
+from ullage.ports.instruments.source import Instrument, InstrumentOptions, InstrumentSource, Scan, host_and_port
 from ullage.ports.radar_logs import subsweep_fields
 from ullage.specs import RadarSpec
 
@@ -39,44 +37,30 @@ class AcconeerOptions(InstrumentOptions):
     number: int = Field(1, ge=1, le=5, description="of the sensor on its board")
 
 
-def open_source(address: str, options: dict[str, Any]) -> Source:
-    """Open an A121 at `HOST`, `HOST:PORT` or a serial device.
+class A121(Instrument):
+    """One sensor behind an exploration server: at `HOST`, `HOST:PORT`, or on a serial device.
 
-    Raises:
-        InputError: it does not answer, or refuses a setting.
-        MissingExtra: acconeer-exptool is not installed.
-    """
-    place = f"acconeer:{address}"
-    if fixed := [name for name in options if name in SETTLED]:
-        raise InputError(f"{fixed[0]} cannot be set", where=place, allowed="profile= and step_length= instead")
-    own, spec = split_options(AcconeerOptions, options, "a121", place)
-    return InstrumentSource(A121(address, spec, own), own, "a121")
-
-
-class A121:
-    """One sensor, and what it said of itself.
-
-    Args:
-        address: host, with a port where that is not 6110, or a serial device.
-        spec: its settings: bins, range_start_m, fps, and iterations times pulses_per_step as hwaas.
-        options: profile, step length and number.
-
-    Raises:
-        InputError: the address is none.
-        MissingExtra: acconeer-exptool is not installed.
+    Of its RadarSpec it takes bins, range_start_m, fps, and iterations times pulses_per_step as hwaas.
     """
 
-    unit: Unit = "normalised"
+    scheme, settings, preset = "acconeer", AcconeerOptions, "a121"
 
     def __init__(self, address: str, spec: RadarSpec, options: AcconeerOptions) -> None:
-        self.place, self._options = f"acconeer:{address}", options
+        super().__init__(address, spec, options)
         self._host, self._port = host_and_port(address, PORT, where=self.place, allowed=ALLOWED)
-        self.spec = self._wanted = spec
         self._library: Any = need("acconeer.exptool.a121", extra="acconeer")
         self._client: Any = None
         self._ticks_hz = 1.0
         self._frames = self._saturated = self._late = 0
         self._temperature_c: int | None = None
+
+    @classmethod
+    def open(cls, address: str, options: dict[str, Any]) -> InstrumentSource:
+        """Open it as any instrument; profile and step length settle some fields of its RadarSpec."""
+        if fixed := [name for name in options if name in SETTLED]:
+            where = f"{cls.scheme}:{address}"
+            raise InputError(f"{fixed[0]} cannot be set", where=where, allowed="profile= and step_length= instead")
+        return super().open(address, options)
 
     def start(self) -> None:
         """Connect, set the sensor up with a calibration, and let it measure."""
@@ -168,6 +152,9 @@ class A121:
         if self._late:
             lines.append(f"{self._late:,} of {self._frames:,} frames came late: lower fps, bins or pulses_per_step")
         return lines
+
+
+open_source = A121.open
 
 
 def _why(error: Exception) -> str:

@@ -18,11 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ullage.data import Unit
 from ullage.errors import InputError
 from ullage.geometry import C0
-from ullage.ports.instruments.source import InstrumentOptions, InstrumentSource, Scan, host_and_port, split_options
-from ullage.ports.protocol import Source
+from ullage.ports.instruments.source import Instrument, InstrumentOptions, Scan, host_and_port
 from ullage.ports.radar_logs import LEAD_S, PACKET, SCAN_INFO, STEP_S
 from ullage.specs import RadarSpec
 
@@ -51,33 +49,13 @@ class MrmOptions(InstrumentOptions):
     node: int = Field(100, ge=1, le=2**32 - 2, description="number of the radar")
 
 
-def open_source(address: str, options: dict[str, Any]) -> Source:
-    """Open a PulsON 440 at `HOST` or `HOST:PORT`.
+class MrmRadar(Instrument):
+    """One radar at `HOST`, or `HOST:PORT` where its port is not 21210."""
 
-    Raises:
-        InputError: it does not answer, or refuses a setting.
-    """
-    place = f"mrm:{address}"
-    own, spec = split_options(MrmOptions, options, "pulson440", place)
-    return InstrumentSource(MrmRadar(address, spec, own), own, "mrm")
-
-
-class MrmRadar:
-    """One radar, and what it said of itself.
-
-    Args:
-        address: host, and its port where that is not 21210.
-        spec: its settings.
-        options: transmit gain, code channel and number.
-
-    Raises:
-        InputError: the address is none, or a setting is none of the radar's.
-    """
-
-    unit: Unit = "normalised"
+    scheme, settings, preset = "mrm", MrmOptions, "pulson440"
 
     def __init__(self, address: str, spec: RadarSpec, options: MrmOptions) -> None:
-        self.place, self._options = f"mrm:{address}", options
+        super().__init__(address, spec, options)
         self._address = host_and_port(address, PORT, where=self.place, allowed="mrm:HOST or mrm:HOST:PORT")
         integration = round(math.log2(spec.pulses_per_step * spec.iterations))
         if not 6 <= integration <= 15 or 2**integration != spec.pulses_per_step * spec.iterations:
@@ -85,7 +63,6 @@ class MrmRadar:
             allowed = "pulses_per_step times iterations of 64, 128, ... 32768"
             raise InputError(f"{pulses} pulses a sample", where=self.place, allowed=allowed)
         self._integration = integration
-        self.spec = self._wanted = spec
         self._socket: socket.socket | None = None
         self._numbers = itertools.count(1)
         self._temperature_c: float | None = None
@@ -204,3 +181,6 @@ class MrmRadar:
     def health(self) -> list[str]:
         """Return its temperature at the start."""
         return [] if self._temperature_c is None else [f"{self._temperature_c:g} deg C at the start"]
+
+
+open_source = MrmRadar.open

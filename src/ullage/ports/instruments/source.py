@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,15 +46,42 @@ class Scan(NamedTuple):
     arrived_s: float  # on this computer's clock [s]
 
 
-class Instrument(Protocol):
-    """A radar that measures on request."""
+class Instrument(ABC):
+    """A radar that measures on request.
 
-    spec: RadarSpec
-    """As the instrument was set; its ranges are those it answered."""
-    unit: Unit
-    place: str
-    """What complaints name."""
+    Args:
+        address: where it is, after the scheme.
+        spec: its settings.
+        options: those of its kind, as `settings` lists them.
 
+    Raises:
+        InputError: the address is none, or a setting is none of the instrument's.
+        MissingExtra: its library is not installed.
+    """
+
+    scheme: ClassVar[str]
+    """Of its addresses, and its name unless it is given one."""
+    settings: ClassVar[type[InstrumentOptions]]
+    preset: ClassVar[str]
+    unit: Unit = "normalised"
+
+    def __init__(self, address: str, spec: RadarSpec, options: Any) -> None:
+        self.place, self._options = f"{self.scheme}:{address}", options
+        self.spec = self._wanted = spec
+        """As the instrument was set; its ranges are those it answered."""
+
+    @classmethod
+    def open(cls, address: str, options: dict[str, Any]) -> InstrumentSource:
+        """Open an instrument with options as text: those of its kind, and fields of its RadarSpec.
+
+        Raises:
+            InputError: it cannot be opened, does not answer, or refuses a setting.
+            MissingExtra: its library is not installed.
+        """
+        own, spec = split_options(cls.settings, options, cls.preset, f"{cls.scheme}:{address}")
+        return InstrumentSource(cls(address, spec, own), own, cls.scheme)
+
+    @abstractmethod
     def start(self) -> None:
         """Open it, set it up, and let it measure.
 
@@ -61,12 +89,15 @@ class Instrument(Protocol):
             InputError: it is not there, is in use, does not answer, or refuses a setting.
         """
 
+    @abstractmethod
     def scans(self) -> Iterator[Scan]:
         """Give scans without an end; an OSError tells that it is gone. Return now and then without a scan."""
 
+    @abstractmethod
     def close(self) -> None:
         """Let it rest, and close the line."""
 
+    @abstractmethod
     def health(self) -> list[str]:
         """Return what it says of itself, for the end of a run."""
 

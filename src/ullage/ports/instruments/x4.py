@@ -23,11 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ullage.data import Unit
 from ullage.errors import InputError, need
 from ullage.geometry import C0
-from ullage.ports.instruments.source import InstrumentOptions, InstrumentSource, Scan, split_options
-from ullage.ports.protocol import Source
+from ullage.ports.instruments.source import Instrument, InstrumentOptions, Scan
 from ullage.ports.radar_logs import DRIVER_C
 from ullage.specs import RadarSpec
 
@@ -185,42 +183,21 @@ class X4Options(InstrumentOptions):
     )
 
 
-def open_source(address: str, options: dict[str, Any]) -> Source:
-    """Open an X4 module on a serial device, such as `/dev/ttyACM0`.
-
-    Raises:
-        InputError: it cannot be opened, does not answer, or refuses a setting.
-        MissingExtra: pyserial is not installed.
-    """
-    place = f"x4:{address}"
-    if not address:
-        raise InputError("no device is named", where="x4:", allowed=_present())
-    own, spec = split_options(X4Options, options, "x4m05", place)
-    return InstrumentSource(X4Module(address, spec, own), own, "x4")
-
-
 def _present() -> str:
     found = sorted([*glob("/dev/ttyACM*"), *glob("/dev/ttyUSB*")])
     return f"{ALLOWED}; here: {', '.join(found) or 'none'}"
 
 
-class X4Module:
-    """One module, and what it said of itself.
+class X4Module(Instrument):
+    """One module on a serial device, such as `/dev/ttyACM0`; its carrier is one of two, and its output baseband."""
 
-    Args:
-        device: name of the serial device.
-        spec: its settings.
-        options: speed of the line, and power.
+    scheme, settings, preset = "x4", X4Options, "x4m05"
 
-    Raises:
-        InputError: the carrier is none of the module's, or the output is not baseband.
-    """
-
-    unit: Unit = "normalised"
-
-    def __init__(self, device: str, spec: RadarSpec, options: X4Options) -> None:
-        self.place, self._device, self._options = f"x4:{device}", device, options
-        self.spec = self._wanted = spec
+    def __init__(self, address: str, spec: RadarSpec, options: X4Options) -> None:
+        super().__init__(address, spec, options)
+        self._device = address
+        if not address:
+            raise InputError("no device is named", where="x4:", allowed=_present())
         if spec.center_hz not in CARRIERS or spec.output != "baseband":
             known = " or ".join(f"{hz:g}" for hz in CARRIERS)
             raise InputError(
@@ -350,6 +327,9 @@ class X4Module:
         """Return how many packets came damaged."""
         count = self._unpacker.damaged + self._strange
         return [f"{count:,} packets came damaged"] if count else []
+
+
+open_source = X4Module.open
 
 
 def _why_not(error: Exception) -> str:
