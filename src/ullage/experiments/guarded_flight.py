@@ -243,12 +243,9 @@ class Loop:
         straight_s = float(np.linalg.norm(np.diff(points[:, :3], axis=0), axis=1).sum()) / plan.speed_m_s
         longest_s = 2 * straight_s + 5.0 + plan.hover_s + give_up_s  # with time for starts and stops
         follower = WaypointFollower(points, plan.speed_m_s)
-        truths, beliefs, frames, steps, moved_s, arrived_s = [], [], [], [], 0.0, math.inf
+        out, moved_s, arrived_s = list[Flown](), 0.0, math.inf
         for row, now in enumerate(self.steps(follower, _start(points), longest_s=longest_s)):
-            truths.append(now.truth)
-            beliefs.append(now.believed)
-            frames.append(now.frames)
-            steps.append(now.step)
+            out.append(now)
             now_s = now.step.t_ns * 1e-9
             moved_s = now_s if now.step.limit.state in ("free", "limited") or not self.guarded else moved_s
             arrived_s = min(arrived_s, now_s) if follower.arrived else math.inf
@@ -256,7 +253,9 @@ class Loop:
                 break
             if progress is not None and row % 20 == 0:
                 progress(row / (longest_s * self.rate_hz))
-        return GuardedFlight(strung(truths), strung(beliefs), frames, steps, self.contacts, follower.arrived)
+        frames, steps = [now.frames for now in out], [now.step for now in out]
+        flown, believed = strung([now.truth for now in out]), strung([now.believed for now in out])
+        return GuardedFlight(flown, believed, frames, steps, self.contacts, follower.arrived)
 
     def steps(self, pilot: Pilot, start: Floats, *, longest_s: float) -> Generator[Flown, None, None]:
         """Fly step by step: the pilot's velocity, limited by the guard, holds until the next step.

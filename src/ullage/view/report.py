@@ -19,21 +19,19 @@ from ullage.untrusted import load_yaml
 from ullage.view.metric_words import grouped, meaning
 from ullage.view.replay import FILE as REPLAY
 
-CAPTIONS = {
-    "map": "Occupancy map over the flown path (blue); red: true walls; circles: surveyed reflectors.",
-    "explore": "The map with the flight coloured by time, its goals, and where it would go on.",
-    "image": "Synthetic aperture image, amplitude in dB below its brightest cell.",
-    "own_echo": "Power received over range, the radar's own echo that was removed, and what remains.",
-    "calibration": "Posterior of the clock offset between radar and track, and the offsets that were applied.",
-    "range_time": "Amplitude of every range bin over time, one panel a radar.",
-    "rest": "Mean profile, noise and its correlation while the radar stood still.",
-    "explain": "Where the strongest echoes of a frame in the middle of the run came from, and a plan at its height.",
-    "snapshot": "One profile of each radar in the middle of the run.",
-}
 KINDS = {"mapped": "good", "missed": "bad"}
 """Marks of the states of objects."""
 UNSAFE = 0.01
 """Share of the surface in sight that may be marked as free before the verdict warns."""
+
+
+def _part(name: str) -> str:
+    """Read a part of the page from the package."""
+    return (resources.files("ullage.view") / "web" / name).read_text(encoding="utf-8")
+
+
+CAPTIONS: dict[str, str] = json.loads(_part("captions.json"))
+"""Of figures by their names, in the order of the page."""
 
 
 def write_report(folder: Path, *, origin: Mapping[str, object] | None = None) -> Path:
@@ -154,11 +152,6 @@ def _value(metrics: Mapping[str, Any], name: str) -> float | None:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.0f} %" if share == 0 or share >= 0.1 else f"{100 * share:.2g} %"
-
-
-def _part(name: str) -> str:
-    """Read a part of the page from the package."""
-    return (resources.files("ullage.view") / "web" / name).read_text(encoding="utf-8")
 
 
 def _text(path: Path) -> str:

@@ -11,7 +11,6 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from pydantic import Field
@@ -25,7 +24,7 @@ from ullage.ports.gazebo.topics import Feed, RadarTopics
 from ullage.ports.gazebo.transport import TransportPeer
 from ullage.ports.intake import PATIENCE_S, Log
 from ullage.ports.live import options_of
-from ullage.ports.pose_events import ModelPose, Notice, OtherModels, path_through, stamp_ns
+from ullage.ports.pose_events import ModelPose, Notice, OtherModels, path_through, pose_of, stamp_ns
 from ullage.ports.scanning import Scan, ScanSource, scan_of
 from ullage.world.load import load_scene
 from ullage.world.scene import Scene
@@ -88,52 +87,19 @@ def scene_of(message: Any, *, where: str) -> Scene:
 
 
 def sdf_of(message: Any) -> str:
-    """Return the message as SDF, with each visual as a collision."""
-    models = "".join(_model(model) for model in message.model)
-    return f'<sdf version="1.9"><world name={quoteattr(message.name or "world")}>{models}</world></sdf>'
+    """Return the message as SDF, with each visual that has a surface as a collision."""
+    from jinja2 import Environment, StrictUndefined
 
-
-def _model(model: Any) -> str:
-    links = "".join(
-        f"<link name={quoteattr(link.name)}>{_pose(link.pose)}{''.join(_visual(v) for v in link.visual)}</link>"
-        for link in model.link
-    )
-    inner = "".join(_model(one) for one in model.model)
-    return f"<model name={quoteattr(model.name)}>{_pose(model.pose)}{links}{inner}</model>"
-
-
-def _visual(visual: Any) -> str:
-    shape = _geometry(visual.geometry)
-    retro = f"<laser_retro>{visual.laser_retro!r}</laser_retro>" if visual.laser_retro > 0 else ""
-    return f"<collision name={quoteattr(visual.name)}>{_pose(visual.pose)}{retro}{shape}</collision>" if shape else ""
-
-
-def _geometry(shape: Any) -> str:
-    """Return the shape as SDF; empty for shapes without a surface (axes, arrows, lines)."""
-    if shape.type == MESH:
-        scale = f"<scale>{_numbers(shape.mesh.scale)}</scale>" if shape.mesh.HasField("scale") else ""
-        part = f"<submesh><name>{shape.mesh.submesh}</name></submesh>" if shape.mesh.submesh else ""
-        name, inside = "mesh", f"<uri>{shape.mesh.filename}</uri>{part}{scale}"
-    elif shape.type in SHAPES:
-        name, sizes = SHAPES[shape.type]
-        one = getattr(shape, name)
-        inside = "".join(f"<{size}>{_numbers(getattr(one, size))}</{size}>" for size in sizes)
-    else:
-        return ""
-    return f"<geometry><{name}>{inside}</{name}></geometry>"
+    plain = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    page = plain.from_string(Path(__file__).with_name("scene.sdf.jinja").read_text(encoding="utf-8"))
+    return page.render(scene=message, SHAPES=SHAPES, MESH=MESH, numbers=_numbers, pose_of=pose_of)
 
 
 def _numbers(value: Any) -> str:
-    """Return a length, or the parts of a vector of two or three."""
-    parts = [value] if isinstance(value, float) else [getattr(value, axis) for axis in "xyz" if hasattr(value, axis)]
-    return " ".join(repr(part) for part in parts)
-
-
-def _pose(pose: Any) -> str:
-    turn = pose.orientation
-    quat = (turn.x, turn.y, turn.z, turn.w)
-    words = " ".join(repr(value) for value in (quat if any(quat) else (0.0, 0.0, 0.0, 1.0)))
-    return f'<pose rotation_format="quat_xyzw">{_numbers(pose.position)} {words}</pose>'
+    """Return a length, some numbers, or the parts of a message of two or three."""
+    if isinstance(value, float | tuple):
+        return " ".join(map(repr, np.atleast_1d(value).tolist()))
+    return " ".join(repr(getattr(value, axis)) for axis in "xyz" if hasattr(value, axis))
 
 
 POSES = re.compile(r"/world/([^/]+)/(dynamic_pose|pose)/info")

@@ -22,7 +22,7 @@ from ullage.ports.imc.codec import Packet, make, readable
 from ullage.ports.imc.helm import FAILURE, REQUEST, START, STOP, SUCCESS
 from ullage.ports.imc.link import Link, leave, open_link
 from ullage.ports.imc.options import VehicleOptions
-from ullage.ports.imc.wires import Entity, Identity
+from ullage.ports.imc.wires import own_identity
 from ullage.ports.intake import Log, warn
 from ullage.ports.ned import SWAP, Geodetic
 from ullage.ports.pose_events import BodyState
@@ -242,8 +242,7 @@ class ImcDrone(Drone):
     refusal = "a vehicle that follows references takes no velocities"
 
     def __init__(self, place: str, options: VehicleOptions) -> None:
-        me = Identity(options.system_id, options.name, entities=[Entity(1, options.name, "ullage")])
-        self._link = open_link(place, options, me, role="source", log=warn)
+        self._link = open_link(place, options, own_identity(options), role="source", log=warn)
         super().__init__(options.state, self._link.counters)
         self._track = Track(self.counters, state=options.state, origin=options.place(), vehicle=options.vehicle)
         self._follow = Follow(self._link, z=options.z, radius_m=1.0, log=warn)

@@ -25,7 +25,7 @@ from ullage.ports.imc.broker import Outgoing, RosToImc
 from ullage.ports.imc.codec import MOST, Message, make, readable
 from ullage.ports.imc.link import Link, leave, open_link
 from ullage.ports.imc.options import MessageOptions, SinkOptions
-from ullage.ports.imc.wires import Entity, Identity
+from ullage.ports.imc.wires import Entity, own_identity
 from ullage.ports.intake import Log, Once, warn
 from ullage.ports.ned import FLIP, SWAP, Geodetic
 from ullage.ports.pose_events import BodyState
@@ -272,10 +272,8 @@ class ImcSink(Sink):
 
     def __init__(self, place: str, options: SinkOptions, *, log: Log = warn) -> None:
         home = options.home()
-        me = Identity(
-            options.system_id, options.name, entities=[Entity(BODY, options.name, "ullage")], lat_rad=home.lat_rad,
-            lon_rad=home.lon_rad, height_m=home.height_m,
-        )  # fmt: skip
+        place_of_home = {"lat_rad": home.lat_rad, "lon_rad": home.lon_rad, "height_m": home.height_m}
+        me = replace(own_identity(options), **place_of_home)
         self._limiter = RateLimiter(options.pace)
         self._link: Link = open_link(place, options, me, role="sink", log=log)
         self._encoder = MessageEncoder(options, home, self._link.enter)

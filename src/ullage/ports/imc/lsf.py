@@ -151,11 +151,10 @@ class LsfSink(Sink):
         beside = self.path.parent / "IMC.xml.gz"
         if not beside.exists():
             write_whole(beside, lambda out: out.write(gzip.compress(to_xml(own()))))
-        self._entities: list[Entity] = [Entity(BODY, self._options.name, "ullage")]
-        self._encoder = MessageEncoder(self._options, self._options.home(), self._enter)
+        self._new: list[Entity] = []
+        self._encoder = MessageEncoder(self._options, self._options.home(), self._new.append)
         self._shift_ns: int | None = None  # added to times that do not count from 1970
         self._last_ns, self._flushed_s = 0, time.monotonic()
-        self._new: list[Entity] = []
 
     def write(self, item: Item) -> None:
         """Take frames, chunks of them, or the body's path; everything else passes by.
@@ -170,7 +169,7 @@ class LsfSink(Sink):
             self._shift_ns = 0 if messages[0].t_ns > EPOCH_NS else time.time_ns() - messages[0].t_ns
             self._last_ns = messages[0].t_ns
             self._put(make("LoggingControl", op=STARTED, name=self.path.parent.name or "log"), BODY)
-            self._enter(self._entities[0])
+            self._new.append(Entity(BODY, self._options.name, "ullage"))
         for entity in self._new:
             info = make("EntityInfo", id=entity.id, label=entity.label, component=entity.component)
             self._put(info, entity.id)
@@ -181,9 +180,6 @@ class LsfSink(Sink):
         if time.monotonic() - self._flushed_s > FLUSH_EVERY_S:
             self._flushed_s = time.monotonic()
             self._file.flush()
-
-    def _enter(self, entity: Entity) -> None:
-        self._new.append(entity)
 
     def _put(self, message: Any, entity: int) -> None:
         t_s = (self._last_ns + (self._shift_ns or 0)) * 1e-9

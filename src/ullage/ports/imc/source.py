@@ -25,7 +25,7 @@ from ullage.ports.imc.codec import Packet
 from ullage.ports.imc.helm import Helm, Simulated, Vehicle
 from ullage.ports.imc.link import Link, Role, leave, open_link
 from ullage.ports.imc.options import PoseOptions, SourceOptions
-from ullage.ports.imc.wires import Entity, Identity
+from ullage.ports.imc.wires import own_identity
 from ullage.ports.intake import PATIENCE_S, PIECE_S, Covered, Inbox, Log, Once, warn
 from ullage.ports.live import Address, LiveSource, point_of
 from ullage.ports.ned import TRONDHEIM
@@ -64,9 +64,8 @@ class ImcSource(LiveSource):
         if options.world:
             self._build()
         vehicle = self._vehicle(start) if options.fly else None
-        me = Identity(options.system_id, options.name, entities=[Entity(1, options.name, "ullage")])
         self._role: Role = "vehicle" if vehicle is not None else "source"
-        self._link: Link = open_link(place, options, me, role=self._role, log=log)
+        self._link: Link = open_link(place, options, own_identity(options), role=self._role, log=log)
         self.counters = self._link.counters
         self.counters.log = log
         self._track = Track(self.counters, state=options.state, origin=options.place(), vehicle=options.vehicle)
@@ -231,8 +230,7 @@ class PoseFeed:
     settings = PoseOptions
 
     def __init__(self, place: str, options: PoseOptions) -> None:
-        me = Identity(options.system_id, options.name, entities=[Entity(1, options.name, "ullage")])
-        self._link = open_link(place, options, me, role="source", log=warn)
+        self._link = open_link(place, options, own_identity(options), role="source", log=warn)
         self._track = Track(
             self._link.counters, state=options.state, origin=options.place(), vehicle=options.vehicle, keep=1
         )

