@@ -5,6 +5,7 @@ Ray casting resolves occlusion exactly. Rays start behind the near walls and the
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
 from itertools import pairwise
@@ -14,11 +15,13 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
+from PIL import Image
 
 from ullage.arrays import Bools, Floats
 from ullage.errors import InputError
+from ullage.files import write_whole
 from ullage.view.figures import new_figure
-from ullage.view.world_picture import PATH_COLOR, Eye, Paint, draw_plan, save_palette_png
+from ullage.view.world_picture import PATH_COLOR, Eye, Paint, draw_plan
 from ullage.world.scene import Scene, Wires
 
 
@@ -135,3 +138,12 @@ def _hidden(eye: Eye, depth: Floats, points: Floats) -> Bools:
     column = np.clip(((spot[:, 0] - eye.extent[0]) / eye.pixel).astype(int), 0, eye.shape[1] - 1)
     row = np.clip(((eye.extent[3] - spot[:, 1]) / eye.pixel).astype(int), 0, eye.shape[0] - 1)
     return np.asarray(points @ eye.toward - eye.back > depth[row, column] + 0.05)
+
+
+def save_palette_png(figure: Figure, file: Path) -> None:
+    """Write a PNG with 256 colours, at a third of the size, under a temporary name until complete."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    whole = io.BytesIO()
+    figure.savefig(whole, dpi=100, format="png")
+    small = Image.open(whole).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    write_whole(file, lambda out: small.save(out, format="PNG", optimize=True))

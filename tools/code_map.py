@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
-from ullage.view.world_picture import save_palette_png
+from studies.cutaway import save_palette_png
 
 FILE = Path("docs/pictures/code_map.png")
 COLORS = {

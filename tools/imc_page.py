@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ullage.ports.imc.broker import LOCAL
-from ullage.ports.imc.interpreter import PAIRS, REASONS, Row
+from ullage.ports.imc.interpreter import PAIRS, TYPES, Row
 from ullage.ports.imc.table import own
 
 HEAD = """# IMC messages in ROS
@@ -22,6 +22,12 @@ This page lists every message of IMC 5.4.31 and the ROS 2 type that it becomes, 
 - A plain `std_msgs` number has the unit that IMC gives it. Its topic says what it is.
 
 """
+REASONS: dict[str, str] = {
+    name: reason
+    for reason, _, names in (line[2:].rpartition(": ") for line in TYPES.read_text().splitlines() if line[:2] == "! ")
+    for name in names.split()
+}
+"""By IMC message: why ROS has no type for it."""
 
 
 def lines() -> Iterator[str]:

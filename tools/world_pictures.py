@@ -7,8 +7,8 @@ from pathlib import Path
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from studies.cutaway import world_picture
-from ullage.view.world_picture import PATH_COLOR, save_palette_png
+from studies.cutaway import save_palette_png, world_picture
+from ullage.view.world_picture import PATH_COLOR
 from ullage.world.library import WORLDS
 from ullage.world.section import section
 from ullage.worlds import KINDS, flight, random

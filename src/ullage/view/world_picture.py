@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ullage.arrays import Bools, Floats
-from ullage.files import write_whole
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 from ullage.world.section import section, wire_section
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 COLORS = {
     "steel": "#8fa3b5", "pec": "#8fa3b5", "aluminium": "#b9c4cf", "concrete": "#d9d5cc", "wood": "#c49a6c",
@@ -183,14 +177,3 @@ def draw_plan(axes: Any, scene: Scene, paint: Paint, above: Eye, level: float, r
         axes.plot(*route[0, :2], "o", color=PATH_COLOR, ms=5)
     axes.set(xlabel="x, east [m]", ylabel="y, north [m]", title=f"cut at z = {round(level, 2):g} m", aspect="equal")
     axes.title.set_fontsize(9)
-
-
-def save_palette_png(figure: Figure, file: Path) -> None:
-    """Write a PNG with 256 colours, at a third of the size, under a temporary name until complete."""
-    from PIL import Image
-
-    file.parent.mkdir(parents=True, exist_ok=True)
-    whole = io.BytesIO()
-    figure.savefig(whole, dpi=100, format="png")
-    small = Image.open(whole).convert("RGB").quantize(256, dither=Image.Dither.NONE)
-    write_whole(file, lambda out: small.save(out, format="PNG", optimize=True))

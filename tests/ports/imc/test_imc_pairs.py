@@ -17,12 +17,12 @@ from test_imc_codec import messages_of, one_of_each
 
 import ullage as ul
 from conftest import same_message
-from imc_page import page
+from imc_page import REASONS, page
 from ullage.errors import InputError, UllageWarning
 from ullage.ports import schema as ros
 from ullage.ports.imc.broker import definition, main, of_raw, package_files, register, to_imc, to_raw, to_ros
 from ullage.ports.imc.codec import Message, Packet, decode, encode, make
-from ullage.ports.imc.interpreter import PAIRS, REASONS, imc_of, interpreted, rows_of
+from ullage.ports.imc.interpreter import PAIRS, imc_of, interpreted, rows_of
 from ullage.ports.imc.table import own
 from ullage.ports.protocol import Passed
 from ullage.ports.schema import RAW, decoded, encoded

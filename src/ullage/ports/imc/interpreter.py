@@ -350,12 +350,6 @@ def _read_pairs() -> dict[str, Pair]:
 
 PAIRS: dict[str, Pair] = _read_pairs()
 """By IMC message: what ROS has a type for."""
-REASONS: dict[str, str] = {
-    name: reason
-    for reason, _, names in (line[2:].rpartition(": ") for line in TYPES.read_text().splitlines() if line[:2] == "! ")
-    for name in names.split()
-}
-"""By IMC message: why ROS has no type for it."""
 
 
 def interpreted(message: Message) -> Ros | None:
