@@ -272,8 +272,7 @@ class ImcSink(Sink):
 
     def __init__(self, place: str, options: SinkOptions, *, log: Log = warn) -> None:
         home = options.home()
-        place_of_home = {"lat_rad": home.lat_rad, "lon_rad": home.lon_rad, "height_m": home.height_m}
-        me = replace(own_identity(options), **place_of_home)
+        me = replace(own_identity(options), lat_rad=home.lat_rad, lon_rad=home.lon_rad, height_m=home.height_m)
         self._limiter = RateLimiter(options.pace)
         self._link: Link = open_link(place, options, me, role="sink", log=log)
         self._encoder = MessageEncoder(options, home, self._link.enter)
