@@ -131,7 +131,7 @@ def test_ctrl_c_ends_the_processes_and_keeps_what_is_done(tmp_path):
 
 def test_an_experiment_that_fails_is_named(tmp_path):
     with pytest.raises(UllageError, match="Three: the radar is on fire"):
-        reproduce(tmp_path, [Apart("one", "One", "6.1"), Apart("three", "Three", "6.3", how="fails")], jobs=2)
+        reproduce(tmp_path, [Apart("one", "One", "6.1"), Apart("three", "Three", "6.3", how="fails")])
 
 
 def test_an_unknown_experiment_is_refused_by_name():

@@ -164,11 +164,13 @@ class Copter(Follower):
 
     Args:
         start: north, east, down from its reference [m].
+        ground_m: how far down the ground is [m].
     """
 
-    def __init__(self, start: tuple[float, float, float]) -> None:
+    def __init__(self, start: tuple[float, float, float], *, ground_m: float = 1.4) -> None:
         super().__init__()
         self.north, self.east, self.down = start
+        self.ground_m = ground_m
         self.plan, self.track, self.asked_s = "", [], []
         self._velocity = [0.0, 0.0, 0.0]
 
@@ -190,6 +192,7 @@ class Copter(Follower):
         wanted = [g / far * min(self.speed, 2 * far) for g in gap]
         self._velocity = [v + (w - v) / 0.25 * step for v, w in zip(self._velocity, wanted, strict=True)]
         self.north, self.east, self.down = (p + v * step for p, v in zip(place, self._velocity, strict=True))
+        self.down = min(self.down, self.ground_m)
         self.track.append((self.north, self.east, self.down))
         values = {"state": 3 if self.plan else 1, "plan_id": self.plan}
         told = encode(Packet(make("PlanControlState", **values), now, VEHICLE, 7))

@@ -112,8 +112,8 @@ def test_poses_that_turn_against_the_frame_of_set_points_are_refused() -> None:
 
 @pytest.mark.parametrize("px4", [False, True])
 def test_a_copter_explores_by_set_points_comes_home_and_stops_its_motors(px4: bool) -> None:
-    with Copter((0.0, -1.0, 0.0), px4=px4, boot_ns=10**12) as copter:
-        explored = explore(copter, 30.0)
+    with Copter((0.0, -1.0, 0.8), px4=px4, boot_ns=10**12) as copter:
+        explored = explore(copter, 24.0)
         places = np.array([place for _, place in copter.track])
         assert explored.summary.startswith("The flight ended on the ground at home: ")
         assert not copter.armed
@@ -127,7 +127,7 @@ def test_a_copter_explores_by_set_points_comes_home_and_stops_its_motors(px4: bo
 
 def test_a_pilot_who_chooses_another_mode_has_the_copter_at_once() -> None:
     with Copter((0.0, -1.0, 0.0)) as copter:
-        takes = At(4.0, lambda: setattr(copter, "chosen", "LOITER"))
+        takes = At(2.0, lambda: setattr(copter, "chosen", "LOITER"))
         explored = explore(copter, 60.0, progress=takes)
         told = len(copter.of("SET_POSITION_TARGET_LOCAL_NED"))
         time.sleep(0.5)
@@ -140,13 +140,13 @@ def test_a_pilot_who_chooses_another_mode_has_the_copter_at_once() -> None:
 
 def test_a_copter_that_is_gone_ends_the_flight_with_one_line() -> None:
     with Copter((0.0, -1.0, 0.0)) as copter:
-        explored = explore(copter, 60.0, progress=At(3.0, lambda: setattr(copter, "silent", True)))
+        explored = explore(copter, 60.0, progress=At(1.5, lambda: setattr(copter, "silent", True)))
         assert f"no state of the vehicle for {GONE_S:g} s" in explored.summary
 
 
 def test_an_autopilot_that_starts_again_is_told_to_hold() -> None:
     with Copter((0.0, -1.0, 0.0), boot_ns=10**12) as copter:
-        explored = explore(copter, 60.0, progress=At(3.0, lambda: copter.restart(10**11)))
+        explored = explore(copter, 60.0, progress=At(1.5, lambda: copter.restart(10**11)))
         assert "the autopilot's clock went back: it was started again" in explored.summary
         assert copter.chosen == "BRAKE"
 
@@ -162,7 +162,7 @@ def test_a_pilot_who_has_not_handed_over_is_waited_for(monkeypatch: pytest.Monke
 
         thread = threading.Thread(target=hand_over, args=(None,))
         thread.start()
-        explored = explore(copter, 60.0, progress=At(3.0, lambda: setattr(copter, "armed", False)))
+        explored = explore(copter, 60.0, progress=At(1.5, lambda: setattr(copter, "armed", False)))
         thread.join()
         assert begun
         assert "the vehicle is disarmed" in explored.summary
@@ -192,10 +192,10 @@ class RealRadars:
 
 
 def test_frames_of_real_radars_are_put_on_the_reported_poses(monkeypatch: pytest.MonkeyPatch) -> None:
-    with Copter((0.0, -1.0, 0.0)) as copter:
+    with Copter((0.0, -1.0, 0.8)) as copter:
         monkeypatch.setattr(Address, "open", lambda self, part: RealRadars(copter))
         target = address(copter, "radars=x4:/dev/ttyACM0")
-        explored = ul.explore(ROOM, time_s=25.0, vehicle=target, options=QUICK)
+        explored = ul.explore(ROOM, time_s=20.0, vehicle=target, options=QUICK)
     front = explored.frames["front"]
     assert front.truth is None
     assert front.poses is not None
@@ -212,7 +212,7 @@ def test_ctrl_c_leaves_the_copter_hovering_and_a_run_that_can_be_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    stops = At(5.0, lambda: signal.raise_signal(signal.SIGINT))
+    stops = At(2.0, lambda: signal.raise_signal(signal.SIGINT))
     monkeypatch.setattr(exploration.MapFeed, "write", lambda self, item, _write=exploration.MapFeed.write: (
         _write(self, item), stops("")))  # fmt: skip
     with Copter((1.0, -0.5, -1.2)) as copter:
