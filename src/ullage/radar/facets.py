@@ -446,20 +446,19 @@ def joined(parts: Sequence[PlanarPatches]) -> PlanarPatches:
 
 def _clusters(centres: Floats, sizes: Floats) -> tuple[Longs, Ints]:
     """An order of the triangles and where each cluster starts: halves along the longest side, large ones alone."""
-    groups: list[Longs] = []
-    waiting = [np.arange(len(centres))]
-    while waiting:
-        group = waiting.pop()
-        if not len(group):
-            continue
-        span = np.ptp(centres[group], axis=0)
-        if len(group) <= _CLUSTER and (len(group) == 1 or span.max() < 2 * max(sizes[group].max(), 0.5)):
-            groups.append(group)
-            continue
-        ranked = group[np.argsort(centres[group, int(span.argmax())], kind="stable")]
-        waiting += [ranked[len(ranked) // 2 :], ranked[: len(ranked) // 2]]
-    order = np.concatenate(groups) if groups else np.zeros(0, np.int64)
-    return order, np.cumsum([0, *(len(g) for g in groups)]).astype(np.int32)
+    order, first = np.arange(len(centres)), np.arange(min(len(centres), 1))
+    while len(first):
+        here, count = centres[order], np.diff(first, append=len(order))
+        span = np.maximum.reduceat(here, first) - np.minimum.reduceat(here, first)
+        small = span.max(1) < 2 * np.maximum(np.maximum.reduceat(sizes[order], first), 0.5)
+        split = ((count > _CLUSTER) | ~small) & (count > 1)
+        if not split.any():
+            break
+        cluster, axis = np.repeat(np.arange(len(first)), count), span.argmax(1)
+        rank = np.where(split[cluster], here[np.arange(len(order)), axis[cluster]], 0.0)
+        order = order[np.lexsort((rank, cluster))]
+        first = np.sort(np.concatenate([first, (first + count // 2)[split]]))
+    return order, np.append(first, len(order)).astype(np.int32)
 
 
 def _spheres(corners: Floats, first: Ints) -> Floats:
@@ -468,11 +467,10 @@ def _spheres(corners: Floats, first: Ints) -> Floats:
     Kernels leave out clusters beyond the gate, then triangles beyond it. Clusters follow the axes of the world. They
     must leave out nothing that the test of a triangle keeps: its range may fold to the start of the frame.
     """
-    out, centres = np.zeros((len(first) - 1, 4)), corners.mean(1)
-    radii = BALL * np.linalg.norm(np.roll(corners, -1, 1) - corners, axis=2).max(1, initial=0.0)
-    for k in range(len(out)):
-        mine = slice(first[k], first[k + 1])
-        points = corners[mine].reshape(-1, 3)
-        middle = (points.min(0) + points.max(0)) / 2
-        out[k, :3], out[k, 3] = middle, (np.linalg.norm(centres[mine] - middle, axis=1) + radii[mine]).max()
-    return out
+    if not len(corners):
+        return np.zeros((0, 4))
+    low, high = corners.min(1), corners.max(1)
+    middle = (np.minimum.reduceat(low, first[:-1]) + np.maximum.reduceat(high, first[:-1])) / 2
+    radii = BALL * np.linalg.norm(np.roll(corners, -1, 1) - corners, axis=2).max(1)
+    away = np.linalg.norm(corners.mean(1) - np.repeat(middle, np.diff(first), axis=0), axis=1)
+    return np.column_stack([middle, np.maximum.reduceat(away + radii, first[:-1])])

@@ -94,7 +94,7 @@ def _quadrature(spec: RadarSpec) -> tuple[Floats, Floats]:
     return offsets, weight / weight.sum()
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=64)
 def _tabulated(spec: RadarSpec, patterns: PatternPair | None) -> Pulse:
     every = max(1, math.ceil(_OVERSAMPLING * spec.bandwidth_hz * spec.step_s))
     step = spec.step_s / every
@@ -106,11 +106,11 @@ def _tabulated(spec: RadarSpec, patterns: PatternPair | None) -> Pulse:
     if patterns and patterns.transfer:
         passed, longest = weight * patterns.transfer(spec.center_hz + offsets), longest + patterns.tail_s
     t = np.arange(0, math.ceil(longest / step) + 1) * step
-    t = np.concatenate([-t[:0:-1], t])
     phase = np.exp(2j * np.pi * np.multiply.outer(t, offsets))
+    phase = np.concatenate([phase[:0:-1].conj(), phase])  # from -t to t
     taps = np.stack([phase @ (passed * ratio**n / spline) for n in range(3)])
     loud = np.flatnonzero(abs(taps).max(0) > _FLOOR)
-    half = len(t) // 2
+    half = len(t) - 1
     keep = max(half - loud[0], loud[-1] - half)
     return Pulse(np.ascontiguousarray(taps[:, half - keep : half + keep + 1]), step, every, 2 * np.pi * spec.center_hz)
 
