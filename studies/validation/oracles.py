@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+from scipy.fft import next_fast_len
 from scipy.special import h2vp, hankel2, jv, jvp, spherical_jn, spherical_yn, yv
 
 from ullage.arrays import Floats
@@ -151,7 +152,7 @@ def dense_walls(
         level: whether the field is horizontal.
     """
     k = wave_number(frequency_hz)
-    n, m = (int(np.ceil(3 * k * size / (2 * np.pi))) for size in (2 * np.pi * radius_m, height_m))
+    n, m = (next_fast_len(int(np.ceil(3 * k * size / (2 * np.pi)))) for size in (2 * np.pi * radius_m, height_m))
     angle, step = 2 * np.pi * np.arange(n) / n, height_m / m
     up, out = (np.arange(m) + 0.5) * step, np.stack([np.cos(angle), np.sin(angle)], 1)
     unit, fields = 1j * k / (2 * np.pi) * (2 * np.pi * radius_m / n) * step, []

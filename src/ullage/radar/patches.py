@@ -52,7 +52,7 @@ class Patches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curved:
-    """Facets that patches stand in for."""
+    """Facets of curved surfaces, and the patches through them."""
 
     corners: Floats  # (n, 3, 3) [m]
     object_ids: Ints  # (n) object
@@ -61,43 +61,60 @@ class Curved:
     row: Longs  # (n) which small triangle each is, or counted on after these which flat face it belongs to
 
 
-def patches_of(scene: Scene, part: Surfaces, known: Floats, *, wavelength_m: float, widest_m: float) -> Patches | None:
-    """Cut the curved surfaces among some faces; None where there are none.
+def curved_of(scene: Scene, part: Surfaces, known: Floats) -> tuple[Curved, Bools, Longs] | None:
+    """Fit patches to the facets of curved surfaces; None where there are none.
 
     Args:
         scene: the world.
         part: what of it stands still, or what moves, where it starts.
         known: normals (s, 3, 3) of closed forms at the corners of the faces of the scene that they stand for; zero at
             other faces.
-        wavelength_m: of the radar [m].
-        widest_m: facets wider than this are mirrors of their own [m].
+
+    Returns:
+        All facets (n) of the part; which closed forms stand for; the surface that each belongs to.
     """
     faces = np.concatenate([part.faces, part.flat_faces])
     row = np.concatenate([np.arange(len(part.faces)), len(part.faces) + part.flat_at])  # small ones, then flats
     corners, object_ids = scene.corners()[faces], scene.face_object[faces]
-    ids = welded(corners)
+    claimed, ids = known[faces].any((1, 2)), welded(corners)
     limits = smoothing.creases(scene.objects)
     found = smoothing.hinges(corners, ids, object_ids, limits)
-    if not len(found):
+    if claimed.all() or not len(found):
         return None
     given = None if scene.corner_normals is None else scene.corner_normals[faces]
     normals = smoothing.corner_normals(corners, found, given, known[faces], crease_deg=limits.deg[object_ids])
     control = point_normal.displacements(corners, normals, found)
-    claimed = known[faces].any((1, 2))
     edge, side = np.nonzero(~claimed[found.faces] & claimed[found.faces[:, ::-1]])
     begin = np.stack([found.starts[:, 0], found.ends[:, 1]], 1)
     point_normal.follow_rims(control, corners, ids, found.faces[edge, side], begin[edge, side])
-    sagitta = point_normal.sagitta(control)
-    coarse = (_counts(sagitta, SHARE * wavelength_m) > 1) & ~claimed
-    region, rows = found.regions(len(faces)), len(part.faces) + len(part.planar)
-    coarse = (np.bincount(region, coarse)[region] > 0) & (sagitta > LEAST * wavelength_m)  # shifted, if not cut
-    taken = np.bincount(row, coarse, rows) > 0
-    taken &= np.bincount(row, claimed | (_widths(corners) >= widest_m), rows) == 0
-    mine = np.flatnonzero(taken[row])
+    facets = Curved(corners, object_ids, control, point_normal.sagitta(control), row)
+    return facets, claimed, found.regions(len(faces))
+
+
+def patches_of(
+    curved: tuple[Curved, Bools, Longs], part: Surfaces, *, wavelength_m: float, widest_m: float, world: str
+) -> Patches | None:
+    """Cut the curved surfaces of a part as finely as a wavelength needs; None where facets are fine enough.
+
+    Args:
+        curved: as `curved_of` returns it.
+        part: of the world.
+        wavelength_m: of the radar [m].
+        widest_m: facets wider than this are mirrors of their own [m].
+        world: its name, for notices.
+    """
+    facets, claimed, region = curved
+    rows = len(part.faces) + len(part.planar)
+    coarse = (_counts(facets.sagitta, SHARE * wavelength_m) > 1) & ~claimed
+    coarse = (np.bincount(region, coarse)[region] > 0) & (facets.sagitta > LEAST * wavelength_m)  # shifted, if not cut
+    taken = np.bincount(facets.row, coarse, rows) > 0
+    taken &= np.bincount(facets.row, claimed | (_widths(facets.corners) >= widest_m), rows) == 0
+    mine = np.flatnonzero(taken[facets.row])
     if not len(mine):
         return None
-    chosen = Curved(corners[mine], object_ids[mine], control[mine], sagitta[mine], row[mine])
-    count = _bounded(chosen.sagitta, SHARE * wavelength_m, scene.name)
+    chosen = Curved(facets.corners[mine], facets.object_ids[mine], facets.control[mine], facets.sagitta[mine],
+                    facets.row[mine])  # fmt: skip
+    count = _bounded(chosen.sagitta, SHARE * wavelength_m, world)
     return _cut(chosen, count, part, taken, SIGHT * wavelength_m)
 
 

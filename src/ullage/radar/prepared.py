@@ -9,13 +9,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ullage.arrays import Floats, Longs
+from ullage.arrays import Bools, Floats, Longs
 from ullage.geometry import invert
 from ullage.radar.diffraction import sharp_edges
 from ullage.radar.facets import Surfaces, gather, only
 from ullage.radar.movers import Movers
 from ullage.radar.own_body import of_body
-from ullage.radar.patches import Patches, patches_of
+from ullage.radar.patches import Curved, Patches, curved_of, patches_of
 from ullage.radar.quadrics import Quadric, SmoothSurface, quadrics_of, rods_of, smooth_surfaces_of, walls_of, with_caps
 from ullage.radar.spheres import Sphere, balls_of, spheres_of
 from ullage.world import smoothing
@@ -83,7 +83,10 @@ class Prepared:
         """
         key = wavelength_m, widest_m
         if key not in self._patches:
-            self._patches[key] = [self._cut(part, *key) for part in self._at_start()]
+            self._patches[key] = [
+                curved and patches_of(curved, part, wavelength_m=wavelength_m, widest_m=widest_m, world=self.scene.name)
+                for part, curved in zip(self._at_start(), self._curved, strict=True)
+            ]
         out = self._patches[key]
         if self._movers is None or out[1] is None:
             return out
@@ -94,10 +97,12 @@ class Prepared:
             known = self._moved_patches = (where, self._movers.patches_at(out[1], poses))
         return [out[0], known[1]]
 
-    def _cut(self, part: Surfaces, wavelength_m: float, widest_m: float) -> Patches | None:
-        if not (part.planar.smooth.any() or len(part.corners)):
-            return None
-        return patches_of(self.scene, part, self._closed_normals(), wavelength_m=wavelength_m, widest_m=widest_m)
+    @cached_property
+    def _curved(self) -> list[tuple[Curved, Bools, Longs] | None]:
+        """Curved surfaces of each of `parts`, where it starts."""
+        bent = [part.planar.smooth.any() or len(part.corners) for part in self._at_start()]
+        return [curved_of(self.scene, part, self._closed_normals()) if some else None
+                for part, some in zip(self._at_start(), bent, strict=True)]  # fmt: skip
 
     def _at_start(self) -> list[Surfaces]:
         return [self.still] if self._movers is None else [self.still, self._movers.home]
