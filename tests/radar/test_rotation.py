@@ -49,10 +49,12 @@ def change_db(name: str, seeds: range, count: int, bounces: int) -> np.ndarray:
     return np.asarray(20 * np.log10(np.array(out) / abs(still).max(1) + 1e-12))
 
 
-@pytest.mark.parametrize(("name", "count"), [("ntnu-plate", 8), ("cargo-hold", 6), ("cluttered-room", 3)])
-def test_turning_the_world_changes_no_sample(name, count):
-    """Ties are the danger: shares of zones, lines through corners, edges that touch, things as large as each other."""
-    assert change_db(name, range(1, 2), count, 3).max() < -60
+def test_turning_the_world_changes_no_sample():
+    """Ties are the danger: shares of zones, lines through corners, edges that touch, things as large as each other.
+
+    The oracle `turned_worlds` turns the hold and the plate.
+    """
+    assert change_db("cluttered-room", range(1, 2), 3, 3).max() < -60
 
 
 @pytest.mark.parametrize("bounces", [1, 2])
