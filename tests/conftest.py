@@ -4,8 +4,19 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Spread the files of live ports, which mostly wait, over those that compute: workers share few cores."""
+    ports, place = Path(__file__).parent / "ports", dict[Path, float]()
+    for waiting in (False, True):
+        files = dict.fromkeys(item.path for item in items if item.path.is_relative_to(ports) == waiting)
+        place |= {path: (k + 0.5) / len(files) for k, path in enumerate(files)}
+    items.sort(key=lambda item: place[item.path])
 
 
 @pytest.fixture
