@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
+import typer.main
+
+typer.main.get_command = cache(typer.main.get_command)  # a process of ours calls it once, the tests hundreds of times
 
 
 @pytest.hookimpl(trylast=True)
