@@ -4,6 +4,7 @@ from math import pi
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,26 +12,12 @@ from ullage.errors import InputError
 from ullage.world import shapes
 
 
-def volume(shape):
-    vertices, faces = shape
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return np.einsum("fi,fi->", a, np.cross(b, c)) / 6
-
-
-def area(shape):
-    vertices, faces = shape
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
-
-
-def assert_closed(shape):
-    """Each directed edge has exactly one opposite: closed and consistently wound."""
-    _, faces = shape
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    forth = sorted(map(tuple, edges.tolist()))
-    back = sorted(map(tuple, edges[:, ::-1].tolist()))
-    assert len(set(forth)) == len(forth)
-    assert forth == back
+def closed(shape):
+    """The mesh; each of its directed edges has exactly one opposite."""
+    mesh = trimesh.Trimesh(*shape, process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    return mesh
 
 
 SOLIDS = {
@@ -50,9 +37,9 @@ SOLIDS = {
 @pytest.mark.parametrize("name", SOLIDS)
 def test_solids_are_closed_outward_and_have_their_volume_and_area(name):
     shape, want_volume, want_area = SOLIDS[name]
-    assert_closed(shape)
-    assert volume(shape) == pytest.approx(want_volume, rel=3e-3)
-    assert area(shape) == pytest.approx(want_area, rel=3e-3)
+    mesh = closed(shape)
+    assert mesh.volume == pytest.approx(want_volume, rel=3e-3)
+    assert mesh.area == pytest.approx(want_area, rel=3e-3)
     assert shape[0].dtype == np.float64
     assert shape[1].dtype == np.int32
     assert len(np.unique(shape[1])) == len(shape[0])
@@ -71,13 +58,13 @@ def test_sphere_vertices_lie_on_it_and_edges_stay_short(radius, part):
     np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), radius, rtol=1e-12)
     edges = np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2)
     assert edges.max() <= max(part, 0.66) * radius * (1 + 1e-9)
-    assert_closed((vertices, faces))
+    closed((vertices, faces))
 
 
 def test_ellipsoid_vertices_lie_on_it():
     vertices, faces = shapes.ellipsoid((0.5, 1, 2), edge_m=0.1)
     np.testing.assert_allclose(((vertices / [0.5, 1, 2]) ** 2).sum(1), 1, rtol=1e-12)
-    assert volume((vertices, faces)) == pytest.approx(4 / 3 * pi, rel=1e-2)
+    assert closed((vertices, faces)).volume == pytest.approx(4 / 3 * pi, rel=1e-2)
 
 
 @pytest.mark.parametrize("radius", [0.02, 0.3, 4.0])
@@ -96,7 +83,7 @@ def test_plane_faces_its_normal():
         cross = np.cross(b - a, c - a)
         up = np.asarray(normal) / np.linalg.norm(normal)
         np.testing.assert_allclose(cross / np.linalg.norm(cross, axis=1)[:, None], [up, up], atol=1e-12)
-        assert area((vertices, faces)) == pytest.approx(6)
+        assert trimesh.Trimesh(vertices, faces, process=False).area == pytest.approx(6)
 
 
 def test_terrain_stands_right():
