@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -129,10 +130,9 @@ def tanks() -> Iterator[Row]:
         want = oracles.dense_tank(strips, 2.0, 1.2, at, 7.29e9)
         yield Row(f"tank of {strips} strips, floor and wall", db(want[0]), db(double), 0.5)
         yield Row(f"tank of {strips} strips, floor, wall, floor", db(want[1]), db(triple), 1.5)
-    scene = scenes.tank(1.2, 2.0, "pec", strips=96)
     for name, place in (("on the axis", (0.0, 0.0, 0.8)), ("0.4 m before the wall", (0.8, 0.0, 0.8))):
         for bounces in (2, 3):
-            found, dense = tank_wall_to_wall(scene, 1.2, 2.0, place, bounces)
+            found, dense = tank_wall_to_wall(1.2, 2.0, place, bounces)
             yield Row(f"tank, {bounces} bounces wall to wall, {name}", db(abs(dense).max()), db(abs(found).max()), 0.5)
     for name, reach, twice in (("wall and drum", 1.91, False), ("drum, wall and drum", 2.34, True)):
         found, dense = tank_and_drum_pulses((0.75, 0.0, 0.2), (0.1, -0.4), reach, twice=twice)
@@ -159,10 +159,12 @@ def sphere_wall_to_wall(away_m: float, frequency_hz: float, bounces: int) -> com
     return complex((sums.values * np.exp(-1j * k * sums.lengths)).sum())
 
 
+@cache
 def tank_wall_to_wall(
-    scene: Scene, radius_m: float, height_m: float, place: tuple[float, float, float], bounces: int
+    radius_m: float, height_m: float, place: tuple[float, float, float], bounces: int
 ) -> tuple[Complexes, Complexes]:
     """Compute echoes from wall to wall of a tank as pulses over range: ours, and by iterated physical optics."""
+    scene = scenes.tank(radius_m, height_m, "pec", strips=96)
     hz = np.linspace(6.3e9, 8.3e9, 16)
     weight = np.exp(-0.5 * ((hz - 7.29e9) / 0.45e9) ** 2)
     ranges = bounces * radius_m + np.arange(-0.5, 0.1, 0.01)
@@ -185,6 +187,7 @@ def gain_over_wall(scene: Scene, pose: Trajectory, spec: RadarSpec, bounces: int
                        if ((chain >= 0).sum(1) == bounces).all() and np.ptp(chain[0][chain[0] >= 0])))  # fmt: skip
 
 
+@cache
 def tank_and_drum_pulses(
     drum: tuple[float, float, float], place: tuple[float, float], reach_m: float, *, twice: bool = False,
     carrier_hz: float = 7.29e9,

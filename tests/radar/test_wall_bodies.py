@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from radar_worlds import at, body, db, onto
+from radar_worlds import at, body, onto
 
 import ullage as ul
 from studies.validation.rows import radar
-from studies.validation.validate import gain_over_wall, tank_and_drum_pulses
+from studies.validation.validate import gain_over_wall
 from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.radar.prepared import prepare
 from ullage.radar.walls import TO_AND_FRO, WALL_FIRST, accumulate_walls, lines_over
@@ -76,22 +76,6 @@ def test_spread_and_slope_are_those_of_differences_of_the_path(ball, walls):
     assert found.spread[i] == pytest.approx(np.prod(cosines) / np.prod(sizes) / np.sqrt(np.linalg.det(bends)), rel=1e-3)
     turned = (length(np.zeros(starts[-1]), tiny) - length(np.zeros(starts[-1]), -tiny)) / (2 * tiny * WALL.radius)
     assert found.slope[i] == pytest.approx(turned, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("drum", "place", "reach", "twice"),
-    [
-        ((0.75, 0.0, 0.2), (0.1, -0.4), 1.91, False),
-        ((-0.4, 0.1, 0.15), (0.5, 0.3), 1.37, False),
-        ((0.75, 0.0, 0.2), (0.1, -0.4), 2.34, True),
-    ],
-)
-def test_it_is_the_drums_exact_series_and_the_walls_integral(drum, place, reach, twice):
-    """As pulses, where the drum turns the wave with a cosine of 0.84 or more."""
-    ours, want = tank_and_drum_pulses(drum, place, reach, twice=twice)
-    best = abs(want).argmax()
-    assert db(ours[best] / want[best]) == pytest.approx(0, abs=0.2)
-    assert abs(np.angle(ours[best] / want[best])) < 0.06
 
 
 @pytest.mark.parametrize("thing", ["ball", "drum"])

@@ -1,4 +1,4 @@
-"""From wall to wall inside a round tank: iterated physical optics, images, reciprocity, gaps, meshes, no steps."""
+"""From wall to wall inside a round tank: lengths, images, reciprocity, gaps, meshes, no steps (and test_oracles.py)."""
 
 from dataclasses import replace
 
@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 import ullage as ul
 from studies.validation.rows import radar
-from studies.validation.validate import tank_wall_to_wall
 from ullage.radar.context import antenna_pair, radar_context, radar_frame
 from ullage.radar.prepared import prepare
 from ullage.radar.quadrics import quadrics_of, smooth_surfaces_of, walls_of
@@ -34,16 +33,6 @@ def walls(scene, pose, spec, bounces=2):
     antennas = antenna_pair(spec, pose.position[0], ul.geometry.quat_matrix(pose.quat_xyzw)[0])
     echoes = accumulate_walls(radar_frame(context, antennas, None, bounces))
     return sum((part.echo.sum() for part in echoes), 0j)
-
-
-@pytest.mark.parametrize(("place", "bounces"), [((0.0, 0.0, 0.8), 2), ((0.4, 0.1, 0.8), 2), ((1.1, 0.0, 1.2), 2),
-                                                ((0.0, 0.0, 0.8), 3)])  # fmt: skip
-def test_it_is_physical_optics_iterated_over_the_wall(place, bounces):
-    """On the axis, where all of the wall focuses; where the far wall has the image of the radar on it; at the wall."""
-    ours, want = tank_wall_to_wall(scenes.tank(1.2, 2.0, "pec", strips=96), 1.2, 2.0, place, bounces)
-    best = abs(want).argmax()
-    assert db(ours[best] / want[best]) == pytest.approx(0, abs=0.2)
-    assert abs(np.angle(ours[best] / want[best])) < 0.06
 
 
 def test_the_two_kinds_of_path_have_their_lengths():
