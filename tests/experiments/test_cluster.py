@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -21,8 +22,7 @@ import ullage as ul
 from ullage.experiments.cluster import each_done
 from ullage.experiments.dataset import read_index
 
-pytest.importorskip("distributed")
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not find_spec("distributed"), reason="needs distributed")]
 
 SWEEP = [
     *("sweep", "mine.yaml", "--over", "map.step_m=0.2,0.5", "--out", "runs"),

@@ -6,6 +6,7 @@ import fcntl
 import json
 import re
 import shutil
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,9 @@ import ullage as ul
 from ullage.cli import app
 from ullage.experiments.dataset import read_index
 
-xarray = pytest.importorskip("xarray")
-zarr = pytest.importorskip("zarr")
-pytest.importorskip("pyarrow")
+# imported by the tests that use them: every worker collects this file
+LIBRARIES = ("xarray", "zarr", "pyarrow")
+pytestmark = pytest.mark.skipif(not all(map(find_spec, LIBRARIES)), reason="needs xarray, zarr and pyarrow")
 
 SMALL = {"frames": 4, "where": 1}
 
@@ -43,6 +44,8 @@ def yard() -> str:
 
 
 def arrays(path: Path) -> dict[str, np.ndarray]:
+    import zarr
+
     return {name: one[...] for name, one in zarr.open_group(str(path), mode="r").arrays()}
 
 
@@ -74,6 +77,8 @@ def test_other_seeds_give_other_samples(ten: Path, tmp_path: Path) -> None:
 
 
 def test_xarray_reads_the_set_lazily_with_named_axes(ten: Path) -> None:
+    import xarray
+
     with xarray.open_zarr(ten, chunks=None) as found:
         assert dict(found.sizes) | {"sample": 10, "sensor": 4, "frame": 4, "bin": 188, "y": 128, "x": 128} == dict(
             found.sizes
@@ -239,6 +244,8 @@ def test_sets_of_another_version_are_refused_with_both_versions(ten: Path, tmp_p
 def test_a_folder_or_file_that_is_no_data_set_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "letters").mkdir()
     (tmp_path / "letter").write_text("dear reader")
+    import zarr
+
     zarr.create_group(str(tmp_path / "other.zarr"))
     for name in ("letters", "letter", "other.zarr"):
         with pytest.raises(ul.InputError, match=f"{name}: no ullage data set"):
