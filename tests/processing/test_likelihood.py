@@ -304,6 +304,18 @@ def around(centre=(0.0, 0.0), radius_m=1.2):
     return Trajectory(np.arange(len(xy)) * 120_000_000, np.column_stack([xy, 0 * angle]), quat)
 
 
+@pytest.mark.parametrize(("height_m", "shown"), [(0.0, False), (-0.2, False), (-2.0, True)])
+def test_a_flight_removes_what_it_flies_through_at_its_height_only(height_m, shown):
+    """Below a pipe that ends in the plane of the map a vehicle may land."""
+    before = flown(around(), pillar((0.0, 0.0), 0.1))
+    line = Trajectory.line((-1.2, 0, height_m), (1.2, 0, height_m), speed_m_s=0.5, rate_hz=8)
+    mapper = LikelihoodMapper(GRID)
+    mapper.update(before)
+    mapper.update(flown(replace(line, t_ns=line.t_ns + before["left"].t_ns[-1] + 10**9)))
+    mapper.finish()
+    assert (np.linalg.norm(centres(mapper.map()), axis=1) < 0.25).any() == shown
+
+
 def test_silence_frees_what_surfaces_cannot_reach_without_an_echo():
     """No echo came through the middle of a round trip below a wall, on which only the wall is received.
 

@@ -61,7 +61,8 @@ class LikelihoodMapper:
         self._floor_z_m = None if floor_z_m is None else checks.number("floor_z_m", floor_z_m, "mapper")
         self._tracker = SurfaceTracker(spec)
         self._silence = Silence(grid, spec)
-        self._flown: dict[tuple[int, int], None] = {}
+        self._flown: dict[tuple[int, int], None] = {}  # places where the vehicle was in the plane
+        self._height_m = grid.origin_m[2]
 
     def _set_up(self, grid: Grid, spec: LikelihoodSpec | None, vehicle_radius_m: float | None) -> LikelihoodSpec:
         """Set what planes and volumes share; return the parameters."""
@@ -87,7 +88,9 @@ class LikelihoodMapper:
             self._check(part)
         self.grid = plane_of(self.grid, parts)
         for part in parts:
-            for x, y in np.floor(part.believed.position[:, :2] / CELL_M).astype(int).tolist():
+            place = part.believed.position
+            here = ~(np.abs(place[:, 2] - self._height_m) > self.spec.vehicle_m)  # all, of a plane without a height
+            for x, y in np.floor(place[here, :2] / CELL_M).astype(int).tolist():
                 self._flown[x, y] = None
             self._keyframes.add(part)
         self._take_in(finish=False)
