@@ -58,7 +58,7 @@ class Place(NamedTuple):
     @property
     def grid(self) -> Grid:
         """Plane or volume of the map."""
-        return Grid.covering(self.scene.bounds, STEP_M, margin_m=1.0)
+        return Grid.covering(self.scene.bounds, STEP_M, margin_m=1.0, z_m=float(self.start[2]))
 
 
 def place_of(world: str, seed: int, *options: str) -> Place:
@@ -139,7 +139,7 @@ def survey(world: str, seed: int, seconds: float) -> list[str]:
               sinks=[history])  # fmt: skip
     cpu_s = time.process_time() - begun
     clearance_m = Exploration(Loop(place.plan, scene, rig, RATE_HZ), start, time_s=1.0).clearance_m
-    surface = observable_from(scene, place.grid.at_height(float(start[2])), rig,
+    surface = observable_from(scene, place.grid, rig,
                               reachable(scene, start, clearance_m=clearance_m))  # fmt: skip
     points = surface.points[surface.observable(1)]
     half = [omap for at, omap in history.maps() if at <= flown.duration_s / 2][-1]

@@ -119,7 +119,7 @@ def judge(
         lines, metrics = [*lines, *words], [*metrics, *scores]
     if not maps or not maps[-1][1].occupied.any():
         return Verdict(metrics, [*lines, "It mapped no surface."])
-    grid = maps[-1][1].grid.at_height(float(flight.start[2]))
+    grid = maps[-1][1].grid
     places = reachable(scene, flight.start, clearance_m=flight.clearance_m, vehicle=plan.vehicle)
     anywhere = observable_from(scene, grid, flight.loop.rig, places)
     wanted = anywhere.observable(1)

@@ -85,7 +85,7 @@ def explore(
                      vehicle=vehicle, report_progress=progress)  # fmt: skip
     kept = _Kept()
     plan = flight.loop.scenario.map
-    grid = Grid.covering(flight.loop.scene.bounds, plan.step_m, margin_m=plan.margin_m)
+    grid = Grid.covering(flight.loop.scene.bounds, plan.step_m, margin_m=plan.margin_m, z_m=float(flight.start[2]))
     stage = MapStage(grid, plan.method, every_s=plan.every_s or PIECE_S, live=True, floor_z_m=plan.floor_z_m,
                      vehicle_radius_m=plan.vehicle_radius_m)  # fmt: skip
     out = run(flight, stages=[stage], sinks=[flight.maps, kept])
