@@ -33,13 +33,13 @@ class RadarPoses:
     """Estimate the poses of frames that come in pieces, and compare them with the truth.
 
     Args:
-        truth: path of the body, of which inertial unit and altimeter are simulated.
+        truth: path of the body, of which the altimeter is simulated, and the inertial unit if none was recorded.
         seed: of their noise.
         source: of the truth, in words.
         captured: the truth is motion capture, with its noise.
         flown_by: poses of a flight in closed loop, whose frames have them already.
         unit: data sheet of the inertial unit.
-        imu: its readings and their file; None: it is simulated.
+        imu: its readings and their file; None: they are simulated.
     """
 
     def __init__(
@@ -56,10 +56,10 @@ class RadarPoses:
         units, also = "an inertial unit and an altimeter", ""
         if self._imu is not None:
             units = f"the inertial unit recorded in {Path(self._imu[1]).name}, and an altimeter"
-            sheet = "a BMI088, as flight.imu sets none" if self._unit == ImuSpec() else "flight.imu"
+            sheet = "the data sheet of a BMI088, as flight.imu is not set" if self._unit == ImuSpec() else "flight.imu"
             also = f" Its axes are taken for the body's, its clock for the track's, its noise and offsets from {sheet}."
         if self._captured:
-            also += " Apart from that, the track only calibrates clock and range, and serves as truth."
+            also += " Otherwise the track only calibrates clock and range, and serves as truth."
         return (
             f"Poses come from the radars, with {units} simulated from the {self._source}; "
             f"they are often lost within half a minute.{also}"

@@ -201,7 +201,7 @@ def _stages(job: Run) -> list[Stage]:
         job.plane = plane()
     if "map" in job.tasks:
         grid = Grid.covering(_bounds(job), plan.map.step_m, dims=plan.map.dims, margin_m=margin)
-        if job.exploration is not None:  # which lands at other heights than that of its plan
+        if job.exploration is not None:  # it may land below the plane of its map
             grid = grid.at_height(height)
         scatterers = plane().grid  # at the heights that an image would show
         plane_m = float(scatterers.origin_m[2]) if scatterers.dims == 2 else None

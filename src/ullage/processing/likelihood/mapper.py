@@ -35,7 +35,8 @@ class LikelihoodMapper:
     renders cells from them. All radars have one carrier, and all have phase, or none has.
 
     Args:
-        grid: a plane that holds the flight; without a height it takes that of the first frames.
+        grid: a plane that holds the flight; without a height it takes that of the first frames. Where one is given,
+            the vehicle clears only what it fills at that height.
         spec: parameters; None: the defaults.
         floor_z_m: height of a level floor [m], a known surface that explains its echoes; None: none is known.
         vehicle_radius_m: radius of the ball about the antenna that the vehicle fills, and so shows free [m]; None: that
