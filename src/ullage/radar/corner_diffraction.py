@@ -13,7 +13,6 @@ import numpy as np
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.radar.echo_set import Rows
-from ullage.radar.wires import moved
 from ullage.world.smoothing import welded
 
 _LEAST_SINE = 0.1  # of the angle between the edges of a corner
@@ -24,6 +23,7 @@ _LEAST_BEND = 1e-3  # sine of the angle between two normals of a curved surface
 class Corners(Rows):
     """Corners between two edges of one face, in the frame of their objects."""
 
+    POINTS, DIRECTIONS = ("places",), ("along", "normals")
     places: Floats  # (c, 3) [m]
     along: Floats  # (c, 2, 3) unit vectors from the corner along both edges
     lengths: Floats  # (c, 2) of both [m]
@@ -85,13 +85,3 @@ def at_wavelength(corners: Corners, narrow_m: float) -> tuple[Corners, Bools]:
     sheet = held.angles > 2 - 1e-6
     thin = sheet | (held.widths[:, :, 1] < narrow_m)
     return replace(held, angles=np.where(thin, 2.0, held.angles)), np.asarray(sheet.all(1))
-
-
-def placed(corners: Corners, poses: Floats | None) -> Corners:
-    """Place the corners in the world where the objects have these poses (o, 4, 4); None: nothing moves."""
-    if poses is None:
-        return corners
-    (places,) = moved((corners.places,), corners.object_ids, poses)
-    vectors = (corners.along[:, 0], corners.along[:, 1], corners.normals)
-    one, two, normals = moved(vectors, corners.object_ids, poses, turn_only=True)
-    return replace(corners, places=places, along=np.stack([one, two], 1), normals=normals)

@@ -17,7 +17,6 @@ from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.radar import corner_diffraction as corner
 from ullage.radar import double_diffraction as double
 from ullage.radar.echo_set import Rows
-from ullage.radar.wires import moved
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 from ullage.world.smoothing import creases, face_normals, goes_on, half_edges, linked, welded
@@ -34,6 +33,7 @@ _STEP_M = 0.25  # an edge is tested at its middle, and cut so that there is one 
 class Edges(Rows):
     """Straight edges of conducting bodies, in the frame of their objects."""
 
+    POINTS, DIRECTIONS = ("starts", "ends"), ("inward", "normals")
     starts: Floats  # (w, 3) [m]
     ends: Floats  # (w, 3) [m]
     angles: Floats  # (w) of the free space, over pi
@@ -120,16 +120,6 @@ def outlines_of(sharp: Sharp, wavelength_m: float) -> OutlineSet:
         held, np.asarray(~wide.all(1)), pairs, both, bare, 4 * np.sqrt(wavelength_m / gaps_m) / (2 * np.pi),
         closed, *corner.at_wavelength(sharp.corners, NARROW * wavelength_m),
     )  # fmt: skip
-
-
-def placed(edges: Edges, poses: Floats | None) -> Edges:
-    """The edges in the world where the objects have these poses (o, 4, 4); None: nothing moves."""
-    if poses is None:
-        return edges
-    starts, ends = moved((edges.starts, edges.ends), edges.object_ids, poses)
-    inward, normals = (np.stack(moved((v[:, 0], v[:, 1]), edges.object_ids, poses, turn_only=True), 1)
-                       for v in (edges.inward, edges.normals))  # fmt: skip
-    return replace(edges, starts=starts, ends=ends, inward=inward, normals=normals)
 
 
 @lru_cache(maxsize=8)

@@ -17,7 +17,6 @@ import numpy as np
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.radar.echo_set import Rows
-from ullage.radar.wires import moved
 from ullage.world.smoothing import welded
 
 WIDEST_M = 1.0
@@ -30,6 +29,7 @@ _AT_ONCE = 100_000  # pairs: all of a large mesh would fill the memory
 class Pairs(Rows):
     """Parallel edges of one face, in the frame of their objects."""
 
+    POINTS, DIRECTIONS = ("starts", "ends"), ("gaps", "inward", "normals")
     starts: Floats  # (p, 3) of the first edge, as far as the second lies beside it [m]
     ends: Floats  # (p, 3) [m]
     gaps: Floats  # (p, 3) from the first edge to the second [m]
@@ -161,17 +161,6 @@ def at_wavelength(pairs: Pairs, narrow_m: float) -> tuple[Pairs, Bools, Bools, B
         np.asarray(transmissive.all(1)),
         np.asarray((thin & closed).all(1)),
     )
-
-
-def placed(pairs: Pairs, poses: Floats | None) -> Pairs:
-    """Place the pairs in the world where the objects have these poses (o, 4, 4); None: nothing moves."""
-    if poses is None:
-        return pairs
-    starts, ends = moved((pairs.starts, pairs.ends), pairs.object_ids, poses)
-    gaps, one, two, normals = moved(
-        (pairs.gaps, pairs.inward[:, 0], pairs.inward[:, 1], pairs.normals), pairs.object_ids, poses, turn_only=True
-    )
-    return replace(pairs, starts=starts, ends=ends, gaps=gaps, inward=np.stack([one, two], 1), normals=normals)
 
 
 @lru_cache(maxsize=8)

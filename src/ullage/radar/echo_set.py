@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Self
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -16,8 +16,27 @@ Places = Callable[[], Floats]
 Put = Callable[[Transmission, EchoSums], None]
 
 
-class Rows:
-    """Base of dataclasses that hold one row of each array for each of several things, `object_ids` among them."""
+class OnObjects:
+    """Base of dataclasses of things (n) on objects, in the frames of these; `object_ids` (n) are among the fields."""
+
+    __slots__ = ()
+    POINTS: ClassVar[tuple[str, ...]] = ()
+    """Names of arrays (n, ..., 3) of places [m]."""
+    DIRECTIONS: ClassVar[tuple[str, ...]] = ()
+    """Names of arrays (n, ..., 3) of directions, which turn with the objects and are not shifted."""
+
+    def placed(self, poses: Floats | None) -> Self:
+        """Place them in the world where the objects have these poses (o, 4, 4); None: nothing moves."""
+        if poses is None:
+            return self
+        of: Ints = self.object_ids  # type: ignore[attr-defined]
+        turn, shift = poses[of, :3, :3], poses[of, :3, 3]
+        now = {name: np.einsum("nij,n...j->n...i", turn, getattr(self, name)) for name in self.POINTS + self.DIRECTIONS}
+        return replace(self, **now | {name: now[name] + shift for name in self.POINTS})  # type: ignore[type-var]
+
+
+class Rows(OnObjects):
+    """Base of dataclasses that hold one row of each array for each of several things."""
 
     __slots__ = ()
 

@@ -12,7 +12,6 @@ from ullage.kernels import corner_diffraction as corner_kernel
 from ullage.kernels import double_edge_diffraction, edge_diffraction, edge_places, lines
 from ullage.kernels import wires as string
 from ullage.kernels.facets import EchoSums, Transmission
-from ullage.radar import corner_diffraction as corner
 from ullage.radar import diffraction
 from ullage.radar import double_diffraction as double
 from ullage.radar.context import KAPPA, REACH, RadarFrame, grown
@@ -28,7 +27,7 @@ _NUDGE_M = 5e-3  # an edge is looked at this far out in its open side
 def accumulate_edges(frame: RadarFrame) -> list[EchoSet]:
     """Add the echoes of conducting edges to the delay grids."""
     outlines, poses, origins = frame.context.outlines, frame.poses, frame.antennas.origins
-    edges, pairs = diffraction.placed(outlines.edges, poses), double.placed(outlines.pairs, poses)
+    edges, pairs = outlines.edges.placed(poses), outlines.pairs.placed(poses)
     corners, place = _corners(frame), 0.5 * (origins[0] + origins[1])
     alone, over, met = _alone(frame, edges, place), _over(frame, pairs, place), _receivable_corners(frame, corners)
     many, ends, across = len(alone.owner), len(alone.holders), len(over.of)
@@ -88,7 +87,7 @@ def _over(frame: RadarFrame, pairs: double.Pairs, place: Floats) -> Across:
 def _corners(frame: RadarFrame) -> corner_kernel.Corners:
     """Give the corners of faces as kernels take them, placed in the world."""
     outlines = frame.context.outlines
-    at = corner.placed(outlines.corners, frame.poses)
+    at = outlines.corners.placed(frame.poses)
     return corner_kernel.Corners(at.places, at.along, at.lengths, at.angles, at.normals, outlines.corners_bare)
 
 

@@ -36,7 +36,7 @@ from ullage.radar.reflectors import PULL_M
 from ullage.radar.roughness import accumulate_diffuse_scatterers
 from ullage.radar.walls import accumulate_inside, accumulate_walls
 from ullage.radar.wire_bounces import accumulate_wire_bounces
-from ullage.radar.wires import Lines, placed
+from ullage.radar.wires import Lines
 from ullage.specs import MOST_BOUNCES, RadarSpec
 from ullage.world.scene import Scene
 
@@ -125,10 +125,9 @@ def accumulate(frame: RadarFrame) -> list[EchoSet]:
 
 def _accumulate_wires(frame: RadarFrame, lines: Lines) -> list[EchoSet]:
     context, origins, radar = frame.context, frame.antennas.origins, frame.radar
-    starts, ends = placed(lines, frame.poses)
-    gate, fresnel = np.array(context.gate), KAPPA * context.spec.wavelength_m
+    at, gate, fresnel = lines.placed(frame.poses), np.array(context.gate), KAPPA * context.spec.wavelength_m
     pieces, owner = grown(2048, (2, 3), lambda out, of: string.cut_wires(
-        starts, ends, origins[None], gate, fresnel, REACH, out, of))  # fmt: skip
+        at.starts, at.ends, origins[None], gate, fresnel, REACH, out, of))  # fmt: skip
     if not len(pieces):
         return []
     middle = 0.5 * (pieces[:, 0] + pieces[:, 1])

@@ -10,7 +10,7 @@ with the same phase, as a real surface does, so that apertures focus it to speck
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -20,10 +20,9 @@ from ullage.geometry import C0
 from ullage.kernels import diffuse_scatterers as kernel
 from ullage.kernels.facets import EchoSums, Transmission
 from ullage.radar.context import RadarContext, RadarFrame
-from ullage.radar.echo_set import EchoSet, echo_set
+from ullage.radar.echo_set import EchoSet, OnObjects, echo_set
 from ullage.radar.penetration import COSINES, reflection_tables
 from ullage.radar.prepared import Prepared
-from ullage.radar.wires import moved
 from ullage.specs import RadarSpec
 from ullage.world.materials import Material
 from ullage.world.scene import Scene
@@ -38,9 +37,10 @@ TILE_M = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DiffuseScatterers:
+class DiffuseScatterers(OnObjects):
     """Scatterers of a scene's rough surfaces, tile by tile, in the frame of their objects."""
 
+    POINTS, DIRECTIONS = ("points",), ("normals",)
     points: Floats  # (n, 3) [m]
     normals: Floats  # (n, 3)
     weights: Complexes  # (n) root of the area each stands for, times its random amplitude [m]
@@ -138,12 +138,8 @@ def spectrum(material: Material, wave: float, cosine: Floats, sine: Floats | Non
 
 def accumulate_diffuse_scatterers(frame: RadarFrame) -> EchoSet:
     """Add the echoes of rough surfaces' scatterers to the delay grids."""
-    context, radar, poses = frame.context, frame.radar, frame.poses
-    diffuse_scatterers = diffuse_scatterers_of(context.world, context.seed)
-    if poses is not None:
-        (points,) = moved((diffuse_scatterers.points,), diffuse_scatterers.object_ids, poses)
-        (normals,) = moved((diffuse_scatterers.normals,), diffuse_scatterers.object_ids, poses, turn_only=True)
-        diffuse_scatterers = replace(diffuse_scatterers, points=points, normals=normals)
+    context, radar = frame.context, frame.radar
+    diffuse_scatterers = diffuse_scatterers_of(context.world, context.seed).placed(frame.poses)
     at = diffuse_scatterers.points[diffuse_scatterers.middles]
     gap = np.linalg.norm(at - frame.antennas.origins.mean(0), axis=1)
     near = np.flatnonzero((gap > context.gate[0] - TILE_M) & (gap < context.gate[1] + TILE_M))

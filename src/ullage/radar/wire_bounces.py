@@ -19,7 +19,6 @@ from ullage.kernels.facets import EchoSums, Transmission
 from ullage.radar.context import KAPPA, REACH, RadarContext, RadarFrame, grown
 from ullage.radar.echo_set import EchoSet, echo_set
 from ullage.radar.paths import PathSet, flat_faces, reached
-from ullage.radar.wires import placed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,11 +34,11 @@ class MetWires:
 def accumulate_wire_bounces(frame: RadarFrame, paths: PathSet) -> list[EchoSet]:
     """Add the echoes of wires over flat faces to the delay grids."""
     context, lines = frame.context, frame.context.lines
-    starts, ends = placed(lines, frame.poses)
-    met = _met(frame, paths, starts, ends)
+    at = lines.placed(frame.poses)
+    met = _met(frame, paths, at.starts, at.ends)
     if not len(met.on):
         return []
-    starts, ends, radars = starts[met.on], ends[met.on], paths.ends[met.of]
+    starts, ends, radars = at.starts[met.on], at.ends[met.on], paths.ends[met.of]
     gate, fresnel = np.array(context.gate), KAPPA * context.spec.wavelength_m
     pieces, owner = grown(512, (2, 3), lambda out, of: string.cut_wires(
         starts, ends, radars, gate, fresnel, REACH, out, of))  # fmt: skip

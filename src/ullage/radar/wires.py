@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from ullage.arrays import Complexes, Floats, Ints, Longs
 from ullage.errors import InputError
 from ullage.geometry import C0, invert
+from ullage.radar.echo_set import OnObjects
 from ullage.radar.quadrics import Quadric
 from ullage.world.materials import Material
 from ullage.world.scene import Scene
@@ -27,9 +28,10 @@ _LEAST = 1e-10  # orders weaker than this are left out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lines:
+class Lines(OnObjects):
     """A scene's wires, in the frame of their objects, and their series at one carrier."""
 
+    POINTS = ("starts", "ends")
     starts: Floats  # (w, 3) [m]
     ends: Floats  # (w, 3) [m]
     radii: Floats  # (w) [m]
@@ -149,19 +151,3 @@ def _physical_optics(radius_m: float, reflection: Complexes, center_hz: float) -
     cosine, steps = np.cos(np.pi / 2 * nodes), np.linspace(0, 1, reflection.shape[1])
     strength = np.array([np.interp(cosine * x / x.max(), steps, row) for row in reflection])
     return np.asarray(x[:, 0] * np.pi / 4 * (strength * weights * cosine * np.exp(2j * x * (cosine - 1))).sum(2))
-
-
-def placed(lines: Lines, poses: Floats | None) -> tuple[Floats, Floats]:
-    """Ends of the wires (w, 3), (w, 3) [m] where the objects have these poses (o, 4, 4); None: nothing moves."""
-    starts, ends = moved((lines.starts, lines.ends), lines.object_ids, poses)
-    return starts, ends
-
-
-def moved(
-    rows: Sequence[Floats], object_ids: Ints, poses: Floats | None, *, turn_only: bool = False
-) -> Sequence[Floats]:
-    """Points (w, 3) [m] of objects, or with `turn_only` directions, in the world by the objects' poses (o, 4, 4)."""
-    if poses is None:
-        return rows
-    turn, shift = poses[object_ids, :3, :3], 0.0 if turn_only else poses[object_ids, :3, 3]
-    return [np.einsum("nij,nj->ni", turn, points) + shift for points in rows]
