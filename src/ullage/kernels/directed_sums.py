@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ullage.arrays import Floats
 from ullage.kernels.loops import inner, loop
-from ullage.kernels.matched_sums import ROUNDS, SHRINK, STEPS, Aperture, Turns, _delay, _fit_at, _turn_rows
+from ullage.kernels.matched_sums import ROUNDS, SHRINK, STEPS, Aperture, Turns, _fit_at, _take_out, _turn_rows
 
 
 class Patterns(NamedTuple):
@@ -171,21 +171,7 @@ def subtract_directed(aperture: Aperture, found: Floats, sums: Floats, pulse: fl
         sums: (s, 3) as `refine_direction` gave it.
         pulse: standard deviation of the pulse's envelope [bin].
     """
-    samples = aperture.samples
-    unit = found[2:5]
-    reach = int(3 * pulse) + 1
-    for i in range(samples.shape[0]):
-        mine = aperture.sensor[i]
-        rows = max(sums[mine, 2], 1.0)
-        x, y = sums[mine, 0] / rows, sums[mine, 1] / rows
-        delay = _delay(aperture.offset[i], unit, found[5]) + aperture.late[mine]
-        at = delay + found[6]
-        c, s = math.cos(aperture.phase * delay), math.sin(aperture.phase * delay)
-        real, imag = x * c + y * s, y * c - x * s
-        for k in range(max(int(at) - reach, 0), min(int(at) + reach + 2, samples.shape[1])):
-            level = math.exp(-0.5 * ((k - at) / pulse) ** 2)
-            samples[i, k, 0] -= real * level
-            samples[i, k, 1] -= imag * level
+    _take_out(aperture, found[2:5], (0.0, found[5], found[6], 1.0, 0.0), sums, pulse)
 
 
 @loop()

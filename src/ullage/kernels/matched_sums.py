@@ -415,15 +415,25 @@ def subtract(aperture: Aperture, found: Floats, sums: Floats, pulse: float) -> N
         sums: (s, 3) as `refine` gave it.
         pulse: standard deviation of the pulse's envelope [bin].
     """
-    samples, unit = aperture.samples, np.empty(3)
+    unit = np.empty(3)
     _turn(found[5], found[2], unit)
+    _take_out(aperture, unit, found[2:], sums, pulse)
+
+
+@inner(fastmath=True)
+def _take_out(
+    aperture: Aperture, unit: Floats, reflector: Floats | tuple[float, ...], sums: Floats, pulse: float
+) -> None:
+    """The same of a reflector in a direction."""
+    samples = aperture.samples
+    curvature, place, cosine, lying = reflector[1], reflector[2], reflector[3], reflector[4]
     reach = int(3 * pulse) + 1
     for i in range(samples.shape[0]):
         mine = aperture.sensor[i]
         rows = max(sums[mine, 2], 1.0)
         x, y = sums[mine, 0] / rows, sums[mine, 1] / rows
-        delay = _range(aperture.offset[i], unit, found[5], found[3], found[6]) + aperture.late[mine]
-        at = delay + found[4]
+        delay = _range(aperture.offset[i], unit, cosine, curvature, lying) + aperture.late[mine]
+        at = delay + place
         c, s = math.cos(aperture.phase * delay), math.sin(aperture.phase * delay)
         real, imag = x * c + y * s, y * c - x * s
         for k in range(max(int(at) - reach, 0), min(int(at) + reach + 2, samples.shape[1])):
