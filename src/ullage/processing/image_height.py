@@ -22,7 +22,6 @@ _FLAT_DB = 1.5  # a focus that loses less at most other heights gives no height
 class FocusHeight:
     """Focus around an image's brightest point against the height of the plane."""
 
-    point_m: Floats  # (3) brightest point of the plane, steady ones first [m]
     best_m: Floats  # (3) brightest point over all heights tried [m]
     gain_db: float  # amplitude gained there over the plane [dB]
     resolved: bool  # False: the track is too straight to separate heights
@@ -48,7 +47,7 @@ def focus_height(frames: Frames, image: Image) -> FocusHeight:
     top = int(np.argmax(level_db))
     gain_db = float(level_db[top] - level_db[np.argmin(np.abs(offsets))])
     falls_db = float(level_db[top] - np.median(level_db))
-    return FocusHeight(point, planes[top].peak_m, gain_db, falls_db > _FLAT_DB)
+    return FocusHeight(planes[top].peak_m, gain_db, falls_db > _FLAT_DB)
 
 
 def _nearest(frames: Frames, point: Floats) -> Frames:

@@ -51,7 +51,6 @@ class Track:
     cov: float
     var_v: float
     snr_db: float
-    born_ns: int
     seen_ns: int
     history: int = 1  # one bit a frame, the newest lowest, of 2 N frames
     frames: int = 1  # since it began
@@ -234,7 +233,6 @@ class RangeTracker:
                 0.0,
                 var_v,
                 snr_db,
-                t_ns,
                 t_ns,
                 measured_m=range_m,
                 confirmed=self.spec.hits == 1,

@@ -132,7 +132,7 @@ class _Show:
     """Render a replay as pictures: static parts once, moving parts in each."""
 
     def __init__(self, tree: Mapping[str, Any], width_px: int) -> None:
-        self._tree, self._width = tree, width_px
+        self._tree = tree
         self._path, self._quat = (unpacked(tree["flight"][k]).astype(float) for k in ("position", "quat"))
         box = np.array(tree["bounds"])
         self._size = max(float(np.linalg.norm(box[1] - box[0])), 1.0)

@@ -22,7 +22,7 @@ from typing import Any
 from ullage.errors import InputError, need
 from ullage.ports.gazebo.messages import gz
 from ullage.ports.gazebo.peer import MOST_WAITING, Peer, ProcessLeft, Received, TopicOffered
-from ullage.ports.network import datagrams, join_group
+from ullage.ports.network import datagrams, join_group, udp_socket
 
 HEARTBEAT_S, SILENCE_S = 1.0, 3.0
 """Time between two heartbeats, and the silence after which a peer counts as gone [s]."""
@@ -342,7 +342,7 @@ def discovery_socket(port: int, host: str) -> socket.socket:
     Raises:
         InputError: no interface has this address, or the port cannot be opened.
     """
-    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    out = udp_socket()
     try:
         out.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if hasattr(socket, "SO_REUSEPORT"):
@@ -358,7 +358,6 @@ def discovery_socket(port: int, host: str) -> socket.socket:
             where=f"host {host}",
             allowed="an address of this machine",
         ) from None
-    out.setblocking(False)
     return out
 
 

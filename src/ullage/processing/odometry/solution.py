@@ -129,7 +129,6 @@ class _Arc:
 @dataclass(slots=True, eq=False)
 class _Surface:
     block: Block
-    born_ns: int
     seen_ns: int
     arcs: dict[str, _Arc] = field(default_factory=dict)
     ranged: dict[str, Floats] = field(default_factory=dict)  # where its range by the pulse last counted
@@ -496,7 +495,7 @@ class Solution:
             noise[1:3, 1:3], noise[3, 3] = math.radians(2.0) ** 2 * np.eye(2), 0.05**2
         else:
             noise[1, 1] = 2 * spread[0, 0] + math.radians(_DIRECTION_DEG) ** 2
-        surface = _Surface(state.append(Block(jet), slopes, noise), t_ns, t_ns)
+        surface = _Surface(state.append(Block(jet), slopes, noise), t_ns)
         surface.ranged[name] = state.position.copy()
         self._surfaces.append(surface)
 
