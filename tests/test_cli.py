@@ -18,7 +18,8 @@ import yaml
 from rich.console import Console
 
 import ullage as ul
-from ullage.cli import app, main
+from tests.command import ended
+from ullage.cli import app
 from ullage.experiments.catalog import Variant, families, scenario_names
 from ullage.view import progress
 
@@ -37,18 +38,6 @@ map: {method: elfes}
 image: {method: summation, step_m: 0.1}
 expect: {frames: {min: 100}, recall: {max: 1.0}}
 """
-
-
-def ended(words: tuple[str, ...], cwd: Path) -> int | str | None:
-    """How a command ended, run within this process."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(cwd)
-        patch.setattr(sys, "argv", ["ullage", *words])
-        try:
-            main()
-        except SystemExit as end:
-            return end.code
-    return 0
 
 
 class Told:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import ullage as ul
+from tests.ports.waiting import until
 from ullage.live_run import Delays
 from ullage.ports import schema as ros
 from ullage.ports.intake import Counters, Inbox
@@ -25,13 +26,6 @@ LONG_S = 60.0
 def frames() -> ul.Frames:
     path = ul.Trajectory.line((-1, 0, 0), (0.5, 0, 0), speed_m_s=0.5, rate_hz=(N - 1) / 3)
     return ul.simulate(ul.scenes.room(), path, ul.RadarSpec.preset("x4m05"), fidelity="thesis", seed=3)
-
-
-def until(true: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + LONG_S
-    while not true():
-        assert time.monotonic() < end_s
-        time.sleep(0.005)
 
 
 class Port:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import ullage as ul
+from tests.command import ended
 from tests.ports.vehicle_logs import dataflash, dataflash_of_imu
-from ullage.cli import main
 
 SPEC = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None, bins=110)
 POINTS = np.array([(2.5, 0.6, 1.0), (3.4, 1.3, 1.0), (1.8, 1.5, 1.0), (2.9, -0.4, 1.0), (4.0, 0.2, 1.0)])
@@ -53,14 +52,7 @@ def write(folder: Path, arrays: dict[str, np.ndarray], track: ul.Trajectory) -> 
 
 def run(folder: Path, *options: str) -> int | str | None:
     """The exit code of `ullage run` on a folder."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        patch.setattr(sys, "argv", ["ullage", "run", str(folder), *options])
-        try:
-            main()
-        except SystemExit as end:
-            return end.code
-    return 0
+    return ended(("run", str(folder), *options), folder)
 
 
 def calibrated(folder: Path) -> ul.data.Calibration:

@@ -19,7 +19,7 @@ import pytest
 from process_table import alive, children
 
 import ullage as ul
-from ullage.cli import main
+from tests.command import ended
 from ullage.experiments.doctor import recording_rate
 from ullage.experiments.folder import RunFolder
 from ullage.experiments.run import PICTURE_S, MapSaver, Report, Run
@@ -58,13 +58,7 @@ def done(*, force: bool = False) -> Report:
 
 def ullage(*words: str) -> int:
     """The exit code of a command, run within this process."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["ullage", *words])
-        try:
-            main()
-        except SystemExit as end:
-            return int(end.code or 0)
-    return 0
+    return int(ended(words, Path()) or 0)
 
 
 def tree(folder: Path) -> dict[str, tuple[int, bytes]]:

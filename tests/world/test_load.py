@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from putting import put
 
 import ullage as ul
 from ullage.errors import InputError, UllageWarning
@@ -26,16 +27,7 @@ WORLD = """<?xml version="1.0"?>
 
 @pytest.fixture
 def write(tmp_path):
-    def made(text, name="w.sdf"):
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if isinstance(text, bytes):
-            path.write_bytes(text)
-        else:
-            path.write_text(text)
-        return path
-
-    return made
+    return lambda text, name="w.sdf": put(tmp_path / name, text)
 
 
 def test_a_box_stands_where_it_should_with_its_material(write):

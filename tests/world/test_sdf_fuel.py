@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from putting import put
 
 import ullage as ul
 from ullage.config import WorldSpec
@@ -14,12 +15,6 @@ SERVER = "https://fuel.gazebosim.org/1.0"
 
 def box(size):
     return f'<collision name="c"><geometry><box><size>{size} {size} {size}</size></box></geometry></collision>'
-
-
-def put(path, text):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)
-    return path
 
 
 @pytest.fixture

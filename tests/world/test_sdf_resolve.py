@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from putting import put
 
 import ullage as ul
 from ullage.errors import InputError, UllageWarning
@@ -10,12 +11,6 @@ from ullage.world import sdf_tree
 
 BOX = '<collision name="c"><geometry><box><size>1 1 1</size></box></geometry></collision>'
 MODEL = f'<sdf version="1.9"><model name="thing"><link name="l">{BOX}</link></model></sdf>'
-
-
-def put(path, text):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)
-    return path
 
 
 def world(tmp_path, inside, name="worlds/w.sdf"):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from putting import put
 
 import ullage as ul
 from ullage.errors import InputError, UllageWarning
@@ -31,13 +32,7 @@ ARM = """<robot name="arm" xmlns:ullage="urn:ullage:sdf">
 
 @pytest.fixture
 def write(tmp_path):
-    def made(text, name="r.urdf"):
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-        return path
-
-    return made
+    return lambda text, name="r.urdf": put(tmp_path / name, text)
 
 
 def bounds_of(scene, name):
