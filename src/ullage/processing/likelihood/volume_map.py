@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
 
 from ullage.arrays import Bools, Floats, Longs
 from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
 from ullage.kernels.volume_cells import (
     Box,
-    Hearing,
-    Silence,
     SpatialViews,
-    count_silence,
     draw_discs,
-    exclude_surfaces,
     find_crossed,
     find_hidden,
 )
@@ -38,10 +31,10 @@ from ullage.processing.likelihood.cells import (
     occupied_percent,
     steadiness,
 )
-from ullage.processing.likelihood.directions import DirectedEchoes
 from ullage.processing.likelihood.folding import folded
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import CONSISTENT_M
+from ullage.processing.likelihood.volume_silence import Radar, Sighted, VolumeSilence, box_of
 from ullage.processing.likelihood.volume_surfaces import (
     CYLINDER,
     EDGE,
@@ -55,53 +48,10 @@ RESOLVED = 0.9  # share of the likelihood that the direction of a surface on the
 LEAST_SHARE = 0.05  # of a rival whose cells are ambiguous
 LOUDEST_DB = 3.0  # of a flat surface against a mirror: other echoes at its range may add as much
 NARROW = 0.5  # width of the path that a crossed surface must fill, over that of a tube of free space in a plane
-CELL_MARGIN_M = 0.15  # more than in a plane, which asks for whole cells: pulse width and half a block
-STEP_M = 0.1  # of range, in which silence is kept
-LEAST_OCCLUDER_DB = (
-    -22.0
-)  # against a mirror: a metal pole of 5 cm at 3 m, by the root of radius over 2 (range + radius)
-LATTICE_M = 0.2  # between the places at which surfaces are excluded
-UPRIGHT_NORMALS, SLOPED_NORMALS, SLOPES_DEG = 24, 39, (12.0, 80.0)  # every 7.5 deg; over the sphere between two slopes
-LEVEL_PRIOR, UPRIGHT_PRIOR, SLOPED_PRIOR = 0.3, 0.5, 0.2  # shares of all surfaces: assumed, not counted
-MOST_LEFT = 0.06  # share of these that may be left in a free cell; chosen on the tuning kinds
-SIGHT_ROUNDS = 2
-BLOCKED = 10.0  # an echo of open direction ends silence unless it is as much weaker than the least occluder
-LEAST_VIEWS = 5  # keyframes that would have received an occluder
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Radar:
-    """What the map needs to know of the sensors."""
-
-    cubes: Floats  # (s, 6, m, m) one-way amplitude gains
-    wavelength_m: float  # of the carrier
-    fold_m: float  # unambiguous range
-    mirror_m: float  # amplitude times range of a perfect mirror before an antenna of 0 dBi; infinite where not known
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Quiet:
-    """What one keyframe received, for the silence between."""
-
-    position: Floats  # (3) [m]
-    turns: Floats  # (s, 3, 3)
-    rows: Floats  # (s)
-    masked: Floats  # (b) energy below which an echo stays unseen, each `STEP_M`
-    range_m: Floats  # (e) of its echoes
-    energy: Floats  # (e)
-    number: Longs  # (e) of the surface, or -1
-
-
-def quiet_of(echoes: DirectedEchoes, number: Longs) -> Quiet:
-    """What a keyframe did not receive."""
-    step = ((echoes.start_m + echoes.bin_m * np.arange(len(echoes.silent))) / STEP_M).astype(int)
-    masked = np.zeros(step.max() + 1)
-    np.maximum.at(masked, np.maximum(step, 0), echoes.silent)
-    return Quiet(echoes.position, echoes.patterns.turns, echoes.rows, masked, echoes.state[:, 0], echoes.energy, number)
 
 
 def render(
-    grid: Grid, surfaces: list[SpatialSurface], quiets: Sequence[Quiet], flown: Floats, radar: Radar,
+    grid: Grid, surfaces: list[SpatialSurface], silence: VolumeSilence, flown: Floats, radar: Radar,
     spec: LikelihoodSpec,
 ) -> tuple[OccupancyMap, Bools]:  # fmt: skip
     """Draw a map.
@@ -109,7 +59,7 @@ def render(
     Args:
         grid: a volume.
         surfaces: those that are sure to exist.
-        quiets: what the keyframes did not receive.
+        silence: what the keyframes did not receive.
         flown: (f, 3) places of the track [m].
         radar: the sensors.
         spec: parameters.
@@ -118,7 +68,7 @@ def render(
         The map, and which surfaces are on it: of one direction, not hidden behind others, and not flown through.
     """
     wavelength_m = radar.wavelength_m
-    box = _box(grid)
+    box = box_of(grid)
     percent = np.full(grid.size, UNKNOWN, np.int8)
     resolved = np.array([one.share >= RESOLVED for one in surfaces], bool)
     plausible = np.array([_is_plausible(one, radar.mirror_m) for one in surfaces], bool)
@@ -140,21 +90,18 @@ def render(
         shown = evidence >= spec.evidence
         crossed, tube = np.zeros(grid.size), NARROW * spec.tube * math.sqrt(wavelength_m / 2)
         find_crossed(box, views, evidence, level, spec.evidence, alive, tube, crossed)
-        solid = occupied_percent(evidence, crossed, spec.volume_odds, spec)
+        solid[shown] = occupied_percent(evidence[shown], crossed[shown], spec.volume_odds, spec)
         likely = shown & (solid >= LIKELY)
-    silent = _silent(grid, (surfaces, resolved, fold_m), quiets, likely, radar, spec)
+    sure = [Sighted(*one) for one in zip(surfaces, fold_m.tolist(), strict=True) if one[0].share >= RESOLVED]
+    silent = silence.free(sure, likely, radar)
     _ambiguous(
         box, [one for one, sure in zip(surfaces, resolved, strict=True) if not sure], wavelength_m, spec, percent
     )
-    beside = binary_dilation(shown.reshape(grid.shape), np.ones((3, 3, 3), bool)).ravel()
+    beside = maximum_filter(shown.reshape(grid.shape), 3).ravel()
     percent[silent & ~beside] = free_percent(np.zeros(1), spec)
     percent[_body(grid, flown, spec.vehicle_m)] = 0
     percent[likely] = solid[likely]
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
-
-
-def _box(grid: Grid) -> Box:
-    return Box(*grid.origin_m, grid.step_m, *grid.shape)
 
 
 def _body(grid: Grid, flown: Floats, radius_m: float) -> Longs:
@@ -253,12 +200,10 @@ def _visible(
     box: Box, views: SpatialViews, owner: Longs, possible: Bools, detour: Floats, spec: LikelihoodSpec
 ) -> tuple[Bools, Floats, Floats]:
     """Which echoes come straight from a surface, and evidence and level of these in each cell (cells)."""
-    count, alive = np.bincount(owner), possible[owner]
-    evidence, level = np.zeros((2, box.levels * box.rows * box.columns))
-    mark = np.empty(len(evidence), np.int32)
+    count, alive, cells = np.bincount(owner), possible[owner], box.levels * box.rows * box.columns
     for last in (False,) * ROUNDS + (True,):
-        evidence[:], level[:] = 0, 0
-        draw_discs(box, views, alive, 1.0, evidence, level, mark)
+        evidence, level = np.zeros(cells), np.zeros(cells)  # new ones cost less than to clear these
+        draw_discs(box, views, alive, 1.0, evidence, level, np.zeros(cells, np.int32))
         if last:
             break
         alive = possible[owner]
@@ -267,94 +212,11 @@ def _visible(
     return alive, evidence, level
 
 
-def _silent(
-    grid: Grid, given: tuple[list[SpatialSurface], Bools, Floats], quiets: Sequence[Quiet], occupied: Bools,
-    radar: Radar, spec: LikelihoodSpec,
-) -> Bools:  # fmt: skip
-    """Cells in which neither an occluder nor a surface of any normal stands: each would have been received.
-
-    Where a surface may stand unheard, it hides what lies behind, so the cells that the first round leaves open end the
-    lines of sight of the next.
-    """
-    if not quiets:
-        return np.zeros(grid.size, bool)
-    box, coarse = _box(grid), max(round(LATTICE_M / grid.step_m), 1)
-    count = [-(-cells // coarse) for cells in grid.shape]
-    lattice = box._replace(step=coarse * box.step, levels=count[0], rows=count[1], columns=count[2])
-    silence, (normals, prior) = _silence(given, quiets, radar, spec), _normals()
-
-    def fine(cells: Bools) -> Bools:
-        out = cells.reshape(count)
-        for axis in range(3):
-            out = out.repeat(coarse, axis)
-        return out[tuple(slice(n) for n in grid.shape)].ravel()
-
-    free, blocked = np.ones(math.prod(count), bool), occupied
-    for _ in range(SIGHT_ROUNDS):
-        looks = np.zeros((2, len(free)), np.int32)
-        heard = np.empty((len(quiets), 2 * len(normals), silence.masked.shape[1]), bool)
-        count_silence(box, lattice, silence, normals, blocked, looks, heard)
-        quiet, still = looks >= LEAST_VIEWS
-        exclude_surfaces(
-            Hearing(lattice, silence.position, heard, STEP_M, quiet, still), normals, prior, MOST_LEFT, free
-        )
-        blocked = occupied | fine(quiet & ~free)
-    return fine(free)
-
-
-@lru_cache(maxsize=1)
-def _normals() -> tuple[Floats, Floats]:
-    """Normals (n, 3) of surfaces over half the sphere, the level one first, then upright ones, and priors (n)."""
-    course = (np.arange(UPRIGHT_NORMALS) + 0.5) / UPRIGHT_NORMALS * math.pi
-    upright = np.column_stack([np.cos(course), np.sin(course), np.zeros(UPRIGHT_NORMALS)])
-    low, high = (math.sin(math.radians(slope)) for slope in SLOPES_DEG)
-    z = np.linspace(low, high, SLOPED_NORMALS)
-    turn, side = math.pi * (1 + math.sqrt(5)) * np.arange(SLOPED_NORMALS), np.sqrt(1 - z**2)
-    sloped = np.column_stack([side * np.cos(turn), side * np.sin(turn), z])
-    prior = np.repeat([LEVEL_PRIOR, UPRIGHT_PRIOR / UPRIGHT_NORMALS, SLOPED_PRIOR / SLOPED_NORMALS],
-                      [1, UPRIGHT_NORMALS, SLOPED_NORMALS])  # fmt: skip
-    return np.concatenate([[[0.0, 0.0, 1.0]], upright, sloped]), prior
-
-
-def _silence(
-    given: tuple[list[SpatialSurface], Bools, Floats], quiets: Sequence[Quiet], radar: Radar, spec: LikelihoodSpec
-) -> Silence:
-    """What all keyframes did not receive, and the surfaces and open echoes that end their silence."""
-    known = {one.number: (one, fold) for one, sure, fold in zip(*given, strict=True) if sure}
-    most = max(len(one.range_m) for one in quiets)
-    plane = np.zeros((len(quiets), max(most, 1), 4))
-    masked = np.stack([one.masked for one in quiets])
-    blocked = np.zeros_like(masked)
-    for k, quiet in enumerate(quiets):
-        for q, (range_m, energy, number) in enumerate(zip(quiet.range_m, quiet.energy, quiet.number, strict=True)):
-            before_m = range_m - spec.margin_m - CELL_MARGIN_M
-            if number in known:
-                one, fold_m = known[number]
-                best = one.leader
-                projector = PROJECTORS[one.shapes[best]][None]
-                unit = transported(one.states[best][None], projector, (quiet.position - one.position)[None])[0, 1:4]
-                plane[k, q] = *unit, max(before_m + fold_m, 1e-3)
-            else:
-                near = slice(max(int(before_m / STEP_M), 0), int(range_m / STEP_M) + 2)
-                blocked[k, near] = np.maximum(blocked[k, near], BLOCKED * energy)
-    turns, rows = np.zeros((len(quiets), len(radar.cubes), 3, 3)), np.zeros((len(quiets), len(radar.cubes)))
-    for k, quiet in enumerate(quiets):  # a sensor may have joined later
-        turns[k, : len(quiet.rows)], rows[k, : len(quiet.rows)] = quiet.turns, quiet.rows
-    place, mirror_m = np.stack([one.position for one in quiets]), radar.mirror_m
-    if not math.isfinite(mirror_m):  # uncalibrated samples: the strongest surface is the mirror
-        levels_m = [np.median([seen.level for seen in one.sightings.values()]) for one, _ in known.values()]
-        mirror_m = float(max(levels_m, default=0.0))
-    occluder_m, wall_m = (mirror_m * 10 ** (level_db / 20) for level_db in (LEAST_OCCLUDER_DB, FAINTEST_DB))
-    edge_m = mirror_m * math.sqrt(radar.wavelength_m / 2) / math.pi  # of a half plane [Keller1962]
-    return Silence(place, turns, rows, masked, blocked, STEP_M, radar.cubes, occluder_m, wall_m, edge_m, plane)
-
-
 def _ambiguous(
     box: Box, surfaces: list[SpatialSurface], wavelength_m: float, spec: LikelihoodSpec, percent: np.ndarray
 ) -> None:
     """Mark the cells of all rivals of surfaces of open direction."""
-    evidence, level = np.zeros((2, len(percent)))
-    mark = np.empty(len(percent), np.int32)
+    rivals = []
     for one in surfaces:
         weight = np.exp(one.evidence - one.evidence.max())
         for row in np.flatnonzero(weight / weight.sum() >= LEAST_SHARE).tolist():
@@ -362,6 +224,9 @@ def _ambiguous(
                 one.position, one.states[[row]], one.frames[[row]], one.covariances[[row]], one.evidence[[row]],
                 one.shapes[[row]], one.number, sightings=one.sightings,
             )  # fmt: skip
-            views, _, _ = _views([alone], wavelength_m, spec)
-            draw_discs(box, views, np.ones(len(views.range_m), bool), 1.0, evidence, level, mark)
-    percent[evidence > 0] = AMBIGUOUS
+            rivals.append(alone)
+    if rivals:
+        views, _, _ = _views(rivals, wavelength_m, spec)
+        evidence, level, mark = np.zeros(len(percent)), np.zeros(len(percent)), np.zeros(len(percent), np.int32)
+        draw_discs(box, views, np.ones(len(views.range_m), bool), 1.0, evidence, level, mark)
+        percent[evidence > 0] = AMBIGUOUS

@@ -18,10 +18,9 @@ from ullage.processing.likelihood.directions import DirectionFinder
 from ullage.processing.likelihood.keyframes import Keyframe
 from ullage.processing.likelihood.mapper import CELL_M, LikelihoodMapper
 from ullage.processing.likelihood.spec import LikelihoodSpec
-from ullage.processing.likelihood.volume_map import Quiet, Radar, quiet_of, render, smoothed
+from ullage.processing.likelihood.volume_map import render, smoothed
+from ullage.processing.likelihood.volume_silence import Radar, VolumeSilence
 from ullage.processing.likelihood.volume_surfaces import SpatialSurface, SpatialTracker
-
-QUIET_M = 0.1  # places whose silence is kept apart
 
 
 class VolumeMapper(LikelihoodMapper):
@@ -54,7 +53,7 @@ class VolumeMapper(LikelihoodMapper):
         self._cubes: dict[str, Floats] = {}
         self._mirror_m = np.inf
         self._places: dict[tuple[int, ...], None] = {}
-        self._quiet: dict[tuple[int, ...], Quiet] = {}
+        self._quiet = VolumeSilence(grid, spec)
 
     def update(self, frames: Recording) -> None:
         """Add frames of one or several sensors.
@@ -82,7 +81,7 @@ class VolumeMapper(LikelihoodMapper):
         yield
         number = self._space.update(echoes, self._mirror_m)
         if key.aperture.phase:
-            self._quiet[tuple(np.floor(key.position / QUIET_M).astype(int).tolist())] = quiet_of(echoes, number)
+            self._quiet.add(echoes, number)
 
     def _rendered(self) -> tuple[OccupancyMap, tuple[MappedSurface, ...]]:
         self._work.finish()
@@ -91,8 +90,8 @@ class VolumeMapper(LikelihoodMapper):
         if not len(flown):
             unknown = np.full(self.grid.shape, UNKNOWN, np.int8)
             return OccupancyMap(self.grid, unknown, "likelihood"), ()
-        radar = Radar(np.stack(list(self._cubes.values())), self._wavelength_m, self._fold_m, self._mirror_m)
-        omap, kept = render(self.grid, surfaces, list(self._quiet.values()), flown, radar, self.spec)
+        radar = Radar(self._wavelength_m, self._fold_m, self._mirror_m)
+        omap, kept = render(self.grid, surfaces, self._quiet, flown, radar, self.spec)
         return omap, _mapped(surfaces, kept)
 
 
