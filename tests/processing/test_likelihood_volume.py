@@ -182,14 +182,26 @@ def test_a_level_straight_flight_leaves_up_and_down_ambiguous(sign):
     assert (open_z < 0.8).sum() > 10
 
 
-def test_pieces_of_any_size_give_the_volume_of_the_whole(room):
-    frames = {name: part[:30] for name, part in room[0].items()}
-    whole = mapped(frames).map()
+def test_pieces_of_any_size_give_the_volume_of_the_whole():
+    """Also where the map was asked for in between, as what keyframes see is kept: there and back over its places."""
+    there = climbing(40)
+    path = Trajectory(
+        np.arange(80) * 120_000_000, np.concatenate([there.position, there.position[::-1] + 0.03]),
+        np.tile([0, 0, 0, 1.0], (80, 1)),
+    )  # fmt: skip
+    frames = flown(path, *box_room())
+    late = {name: part if name == "front" else part[20:] for name, part in frames.items()}  # sensors that join later
+    whole = mapped(late).map()
     assert whole.occupied.any()
+    assert whole.free.any()
     mapper = Mapper(GRID, method="likelihood")
-    for start in range(30):
-        for part in frames.values():
-            mapper.update(part[start : start + 1])
+    for start in range(80):
+        for part in late.values():
+            now = (part.t_ns >= path.t_ns[start]) & (part.t_ns < path.t_ns[start] + 120_000_000)
+            if now.any():
+                mapper.update(part[np.flatnonzero(now)])
+        if start % 5 == 4:
+            assert mapper.changed() or start < 20
     mapper.finish()
     assert np.array_equal(mapper.map().percent, whole.percent)
     mapper.changed()

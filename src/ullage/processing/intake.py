@@ -24,7 +24,7 @@ def in_order(frames: Recording, grid: Grid) -> list[Frames]:
     Raises:
         InputError: naming sensor and frame.
     """
-    parts = sorted(sensors_of(frames), key=_from_ahead)
+    parts = sorted(sensors_of(frames), key=from_ahead)
     for part in parts:
         _refuse_bad_samples(part)
         _warn_of_jumps(part)
@@ -32,7 +32,8 @@ def in_order(frames: Recording, grid: Grid) -> list[Frames]:
     return parts
 
 
-def _from_ahead(frames: Frames) -> tuple[float, str]:
+def from_ahead(frames: Frames) -> tuple[float, str]:
+    """Return the order of a sensor: how far it looks from straight ahead, then its name."""
     ahead = float(frames.spec.mount.body_from_sensor()[0, 0])  # cosine of the angle from the body's x axis
     return -round(ahead, 6), frames.sensor
 

@@ -17,6 +17,7 @@ from ullage.data import Frames
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels.matched_sums import GAIN_CELLS, Aperture
 from ullage.processing.echoes import BLIND_M
+from ullage.processing.intake import from_ahead
 from ullage.processing.likelihood.spec import LikelihoodSpec
 
 UPSAMPLING = 2  # of range bins, so that linear interpolation between them is good to 1 %
@@ -46,6 +47,7 @@ class Row:
 class Channel:
     """What is known of one sensor."""
 
+    order: tuple[float, str]  # among the sensors, whichever comes first
     start_m: float  # range of bin 0
     bin_m: float  # after upsampling
     gains: Floats  # two-way amplitude gain against 1 - cosine to boresight
@@ -56,6 +58,7 @@ class Channel:
     pulse_m: float  # standard deviation of the pulse's envelope
     folds_m: tuple[float, ...]  # unambiguous ranges of its pulse intervals, which alternate from frame to frame
     rows: deque[Row] = field(default_factory=deque)
+    near: deque[tuple[Floats, Floats]] = field(default_factory=deque)  # place and boresight of the rows near the last
     seen_ns: int = NEVER_NS  # time of its last frame
     waited_ns: int = 0  # longest time without a frame since the last row
     led_ns: int = NEVER_NS  # time of the last row with which it led: it does not lead with that again
@@ -88,11 +91,12 @@ class Keyframe:
     mount_sigma_rad: float
     pulse: float  # standard deviation of the pulse's envelope [bin]
     wavelength_m: float
-    turns: Floats  # (s, 3, 3) world from sensor, of each sensor's frame nearest in time; zeros without one
+    turns: Floats  # (s, 3, 3) world from sensor, of each sensor's frame nearest in time
     radar: Longs  # (s) number of the radar: one with two pulse intervals is two sensors
     interval: Longs  # (s) 0 or 1 of these; -1 with one only
     folds: tuple[float, float]  # ranges from which echoes fold, with each of two pulse intervals [bin]
     t_ns: int
+    names: tuple[str, ...]  # of the radars: those with a frame in the aperture
 
     @property
     def first(self) -> Longs:
@@ -124,10 +128,12 @@ class KeyframeSelector:
         self._last: Row | None = None
 
     def add(self, part: Frames) -> None:
-        """Take frames of one sensor; those near to one of the same aperture are left out."""
+        """Take frames of one sensor; those near to one of the same pass are left out."""
         channel = self._channels.get(part.sensor)
         if channel is None:
-            channel = self._channels[part.sensor] = _channel_of(part)
+            channel = _channel_of(part)
+            known = {**self._channels, part.sensor: channel}
+            self._channels = dict(sorted(known.items(), key=lambda one: one[1].order))
         path = part.believed
         turns = quat_matrix(path.quat_xyzw)
         axes = turns[:, :, 0]
@@ -136,8 +142,12 @@ class KeyframeSelector:
             gap_ns = max(gap_ns, channel.waited_ns)
             channel.count(int(part.t_ns[i]))
             channel.waited_ns = gap_ns
-            if any(self._is_near(row, path.position[i], axes[i]) for row in reversed(channel.rows)):
+            near, here = channel.near, path.position[i]
+            while near and math.dist(near[0][0], here) >= self._spec.window_m:
+                near.popleft()
+            if any(self._is_near(row, here, axes[i]) for row in reversed(near)):
                 continue
+            near.append((here, axes[i]))
             samples = np.asarray(part.samples[i])
             samples, noise = self._above_noise(samples, channel) if channel.envelope else (samples, _noise(samples))
             given = path.position[i], axes[i], turns[i], _upsampled(samples), noise, gap_ns, channel.second
@@ -156,15 +166,16 @@ class KeyframeSelector:
         above[: max(math.ceil((channel.own_m - channel.start_m) / (UPSAMPLING * channel.bin_m)), 0)] = 0
         return above, noise
 
-    def _is_near(self, row: Row, position: Floats, axis: Floats) -> bool:
-        away = math.dist(position, row.position)
-        return away < self._spec.spacing_m and float(axis @ row.axis) >= COS_TURN
+    def _is_near(self, row: tuple[Floats, Floats], position: Floats, axis: Floats) -> bool:
+        return math.dist(position, row[0]) < self._spec.spacing_m and float(axis @ row[1]) >= COS_TURN
 
     def ready(self, *, finish: bool = False) -> Iterator[Keyframe]:
         """The keyframes whose apertures are complete; at the end those that are left."""
         if not self._channels:
             return
-        self._leading = self._leading or next(iter(self._channels))
+        if self._last is None:
+            begun = {name: each.rows[0].t_ns for name, each in self._channels.items() if each.rows}
+            self._leading = min(begun, key=begun.__getitem__, default=next(iter(self._channels)))
         while self._leads() or self._hand_over(finish=finish):
             rows = self._channels[self._leading].rows
             centre = rows[self._next]
@@ -223,8 +234,12 @@ class KeyframeSelector:
                 self._next -= name == self._leading
 
     def _keyframe(self, centre: Row, first_ns: int, last_ns: int) -> Keyframe:
-        channels = list(self._channels.values())
-        leader = self._channels[self._leading]
+        heard = {
+            name: each
+            for name, each in self._channels.items()
+            if any(first_ns <= row.t_ns <= last_ns for row in each.rows)
+        }
+        channels, leader = list(heard.values()), self._channels[self._leading]
         radar = np.repeat(np.arange(len(channels)), [len(channel.folds_m) for channel in channels])
         two = np.bincount(radar)[radar] == 2
         interval = np.where(two, np.append(False, radar[1:] == radar[:-1]), -1)
@@ -264,11 +279,12 @@ class KeyframeSelector:
             max(channel.mount_sigma[1] for channel in channels),
             leader.pulse_m / leader.bin_m,
             leader.wavelength_m,
-            np.stack([_nearest(one, centre.t_ns).turn if one.rows else np.zeros((3, 3)) for one in channels])[radar],
+            np.stack([_nearest(one, centre.t_ns).turn for one in channels])[radar],
             radar,
             interval,
             (folds_m[0] / leader.bin_m, folds_m[-1] / leader.bin_m),
             centre.t_ns,
+            tuple(heard),
         )
 
 
@@ -278,8 +294,8 @@ def _noise(samples: NDArray[np.complex64]) -> float:
 
 
 def _middle(channels: list[Channel], t_ns: int) -> Floats:
-    """Mean of the sensors' positions (3) at a time [m]; a sensor that gives nothing within the buffer is left out."""
-    return np.asarray(np.mean([_nearest(one, t_ns).position for one in channels if one.rows], axis=0))
+    """Mean of the sensors' positions (3) at a time [m]."""
+    return np.asarray(np.mean([_nearest(one, t_ns).position for one in channels], axis=0))
 
 
 def _nearest(channel: Channel, t_ns: int) -> Row:
@@ -295,7 +311,17 @@ def _channel_of(part: Frames) -> Channel:
     pulse_m = spec.pulse_sigma_s * C0 / 2
     start_m, envelope = float(part.range_m[0]), not np.iscomplexobj(part.samples)
     mount = spec.mount.position_sigma_m, math.radians(spec.mount.angle_sigma_deg)
-    given = start_m, step / UPSAMPLING, gains, spec.wavelength_m, envelope, spec.own_echo_m, mount, pulse_m
+    given = (
+        from_ahead(part),
+        start_m,
+        step / UPSAMPLING,
+        gains,
+        spec.wavelength_m,
+        envelope,
+        spec.own_echo_m,
+        mount,
+        pulse_m,
+    )
     fold_m, other = spec.unambiguous_range_m, (spec.stagger_div or spec.prf_div) / spec.prf_div
     return Channel(*given, (fold_m,) if other == 1 else (fold_m, other * fold_m))
 

@@ -77,7 +77,8 @@ class VolumeMapper(LikelihoodMapper):
     def _explained(self, key: Keyframe) -> Iterator[None]:
         """What a keyframe adds to the surfaces and to silence, in steps of work."""
         known = self._space.known(key.position)
-        echoes = yield from self._finder.steps(key, np.stack(list(self._cubes.values())), known)
+        cubes = np.stack([self._cubes[name] for name in key.names])
+        echoes = yield from self._finder.steps(key, cubes, known)
         yield
         number = self._space.update(echoes, self._mirror_m)
         if key.aperture.phase:
