@@ -406,6 +406,20 @@ def test_standing_still_adds_nothing():
     assert np.array_equal(mapped(frames).map().percent, mapped(longer).map().percent)
 
 
+def test_a_hover_that_sways_is_mapped_while_it_lasts():
+    """Its apertures do not wait for the vehicle to leave."""
+    rng, sway = np.random.default_rng(0), np.zeros((600, 3))
+    for k in range(1, 600):  # within 0.15 m, with a time constant of 2 s at 10 Hz
+        sway[k] = 0.95 * sway[k - 1] + 0.31 * rng.normal(0, (0.04, 0.04, 0.01))
+    assert np.linalg.norm(sway, axis=1).max() < LikelihoodSpec().window_m
+    path = Trajectory(np.arange(600) * 100_000_000, sway, np.tile([0, 0, 0, 1.0], (600, 1)))
+    mapper = Mapper(GRID, method="likelihood")
+    mapper.update(flown(path, wall(40, 2.5)))
+    place, unit = centres(mapper.map()), np.array([np.cos(np.radians(40)), np.sin(np.radians(40))])
+    assert len(place) >= 3
+    assert np.all(np.abs(place @ unit - 2.5) < 0.15)
+
+
 def test_pieces_of_any_size_give_the_map_of_the_whole():
     """And what is said to have changed adds up to it."""
     frames = flown(curve(turns=0.25), wall(90, 2.4), pillar((1.4, -1.8), 0.2))

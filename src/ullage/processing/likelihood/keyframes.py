@@ -26,6 +26,7 @@ NEVER_NS = -(2**62)
 GAP_NS = 1_000_000_000  # without frames of the leading sensor, after which another one leads
 NORMAL_MAD = 1.4826  # standard deviation of normal noise over its median absolute deviation
 BEATS = 16  # frames over which the time from frame to frame is averaged
+FOLDED = 2.0  # most rows of half an aperture, over those of a straight track: a hover is no endless aperture
 COS_TURN = math.cos(math.radians(3.0))  # a frame counts after such a turn, too
 
 
@@ -214,14 +215,16 @@ class KeyframeSelector:
         return not waits
 
     def _span(self, rows: deque[Row], index: int) -> tuple[int, int, bool]:
-        """First and last row about `index` within the window, and whether a later row has left it."""
+        """First and last row about `index` within the window, and whether no later row can be."""
         here, reach = rows[index].position, self._spec.window_m
+        most = math.ceil(FOLDED * reach / self._spec.spacing_m)
         first = last = index
-        while first > 0 and np.linalg.norm(rows[first - 1].position - here) < reach:
+        while first > max(index - most, 0) and np.linalg.norm(rows[first - 1].position - here) < reach:
             first -= 1
-        while last + 1 < len(rows) and np.linalg.norm(rows[last + 1].position - here) < reach:
+        end = min(index + most, len(rows) - 1)
+        while last < end and np.linalg.norm(rows[last + 1].position - here) < reach:
             last += 1
-        return first, last, last + 1 < len(rows)
+        return first, last, last == index + most or last + 1 < len(rows)
 
     def _all_past(self, t_ns: int) -> bool:
         newest = max(channel.seen_ns for channel in self._channels.values())
