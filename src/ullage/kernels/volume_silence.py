@@ -53,9 +53,8 @@ class Hearing(NamedTuple):
 
     lattice: Box
     position: NDArray[np.float64]  # (k, 3) of the keyframes [m]
-    loud: NDArray[np.bool_]  # (k, 2 n, b) whether a wall across each normal, or its opposite, would have been received
-    end: Ends  # (k, d) of the lines of sight
-    facing: NDArray[np.int64]  # (2 n) line of sight along each normal and its opposite
+    along: NDArray[np.float64]  # (n, k) of the same along each normal [m]
+    heard: NDArray[np.bool_]  # (2 n, k, b) whether a wall across each normal, or its opposite, was excluded
     step_m: float  # of range
     quiet: NDArray[np.bool_]  # (cells) in which no occluder stands
     still: NDArray[np.bool_]  # (cells) in which no surface ends
@@ -349,18 +348,17 @@ def _excluding_keyframe(hearing: Hearing, x: float, y: float, z: float, normal: 
     Upright and level surfaces may end at rims above or below, as boxes and tables do. A rim may return nothing in one
     polarisation [Keller1962], so the foot must lie at the height of the point, or near it.
     """
-    steps, count = hearing.loud.shape[2], hearing.loud.shape[1] // 2
+    count, keyframes, steps = len(hearing.along), len(hearing.position), hearing.heard.shape[2]
     rims = abs(normal[2]) < LEVEL or abs(normal[2]) > 1 - LEVEL
-    for m in range(len(hearing.position)):
-        k = (first + m) % len(hearing.position)
+    here = x * normal[0] + y * normal[1] + z * normal[2]
+    for m in range(keyframes):
+        k = first + m if first + m < keyframes else first + m - keyframes
+        far = here - hearing.along[n, k]
+        i = int(abs(far) / hearing.step_m)
+        if i >= steps or not hearing.heard[n if far >= 0 else n + count, k, i]:
+            continue
         p = hearing.position[k]
         dx, dy, dz = x - p[0], y - p[1], z - p[2]
-        far = dx * normal[0] + dy * normal[1] + dz * normal[2]
-        i = int(abs(far) / hearing.step_m)
-        side = n if far >= 0 else n + count
-        heard = i < hearing.end[k, hearing.facing[side]] and hearing.loud[k, side, min(i, steps - 1)]
-        if i >= steps or not (heard or (i + 0.5) * hearing.step_m < BODY_M):
-            continue
         if rims and abs(far * normal[2] - dz) > RIM_M and dx * dx + dy * dy + dz * dz - far * far > RIM_M * RIM_M:
             continue
         if _must_reach_foot(hearing, x, y, z, p, normal, far):

@@ -13,7 +13,7 @@ import numpy as np
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.grids import Grid
 from ullage.kernels.directed_sums import Patterns
-from ullage.kernels.volume_cells import Box
+from ullage.kernels.volume_cells import BODY_M, Box
 from ullage.kernels.volume_silence import (
     SIDE,
     Cube,
@@ -131,12 +131,13 @@ class VolumeSilence:
         fresh, blocked = np.array(sorted(self._fresh), np.int64), occupied
         self._fresh.clear()
         free = np.ones(len(self._rounds[0].looks[0]), bool)
+        along, range_m = normals @ silence.position.T, (np.arange(silence.masked.shape[1]) + 0.5) * STEP_M
         for each in self._rounds:
             each.follow(self._box, self._lattice, silence, self._coarsened(blocked != each.blocked), blocked, fresh)
             quiet, still = each.count(self._lattice, silence, self._heard.most)
-            heard = Hearing(
-                self._lattice, silence.position, self._heard.loud, each.counted, _facing(), STEP_M, quiet, still
-            )
+            seen = range_m < (each.counted[:, _facing(), None] * STEP_M)
+            walls = np.ascontiguousarray(((seen & self._heard.loud) | (range_m < BODY_M)).transpose(1, 0, 2))
+            heard = Hearing(self._lattice, silence.position, along, walls, STEP_M, quiet, still)
             exclude_surfaces(heard, normals, prior, MOST_LEFT, free)
             blocked = occupied | self._fine(quiet & ~free)
         return self._fine(free)
