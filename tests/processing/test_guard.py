@@ -234,6 +234,44 @@ def test_well_inside_the_margin_it_retreats_unless_something_is_behind() -> None
     assert settled(Guard(GuardSpec(back_off_m_s=0), hull_m=HULL_M), (1, 0, 0), near).state == "stop"
 
 
+@pytest.mark.parametrize(
+    ("bearing_deg", "closing", "state"),
+    [(180, 0, "back_off"), (205, 0, "back_off"), (90, 0, "stop"), (0, 0, "stop"), (180, 0.6, "stop")],
+)
+def test_a_stopped_drone_may_go_back_where_it_came_from(bearing_deg: float, closing: float, state: str) -> None:
+    """What rests inside the margin, in whatever direction, is not where the drone has been; a person may come there."""
+    guard = Guard(GuardSpec(), hull_m=HULL_M)
+    for row in range(20):  # 1.5 m east
+        pose = replace(odometry((0.5, 0, 0)), position=np.array([[0.075 * row, 0, 0]]))
+        assert guard.limit((0.5, 0, 0), sectors(row), pose).state in ("free", "limited")
+    here = replace(odometry(), position=np.array([[1.425, 0, 0]]))
+    near = sectors(20, ("front", 0.6, closing))
+    near = replace(near, tracks=replace(near.tracks, cells=np.ones((1, len(CELLS)), bool)))
+    want = 0.5 * np.array([math.cos(math.radians(bearing_deg)), math.sin(math.radians(bearing_deg)), 0.0])
+    limits = [guard.limit(want, replace(near, t_ns=round((20 + k) * STEP_S * 1e9)), here) for k in range(68)]
+    assert limits[-1].state == state
+    speed = GuardSpec().back_off_m_s if state == "back_off" else 0.0
+    np.testing.assert_allclose(limits[-1].velocity, want / 0.5 * speed, atol=1e-9)
+
+
+def test_a_drone_that_goes_back_leaves_no_new_track() -> None:
+    """Else it could stray from its track step by step."""
+    guard, place = Guard(GuardSpec(), hull_m=HULL_M), np.zeros(3)
+    for row in range(20):
+        pose = replace(odometry((0.5, 0, 0)), position=np.array([[0.075 * row, 0, 0]]))
+        guard.limit((0.5, 0, 0), sectors(row), pose)
+    near = sectors(20, ("front", 0.6, 0.0))
+    near = replace(near, tracks=replace(near.tracks, cells=np.ones((1, len(CELLS)), bool)))
+    place = np.array([1.425, 0.0, 0.0])
+    for k in range(400):
+        here = replace(odometry(), position=place[None])
+        now = replace(near, t_ns=round((20 + k) * STEP_S * 1e9))
+        wish = guard.around(np.array([-0.35, 0.35, 0.0]), now, here)
+        place = place + 0.1 * guard.limit(wish, now, here).velocity
+    assert place[0] < 1.2
+    assert abs(place[1]) < 0.2
+
+
 def test_uncertain_distances_count_as_shorter() -> None:
     exact, vague = (
         Guard(GuardSpec(), hull_m=HULL_M).limit((1, 0, 0), sectors(0, ("front", 1.5, 0.0), sigma_m=s), odometry())

@@ -29,6 +29,7 @@ State = Literal["free", "limited", "stop", "back_off"]
 _LEAST_SPEED_M_S = 0.1  # below it, a closing speed gives no bearing
 _STOPPED_M_S = 0.03
 _HALF_CELL_RAD = math.radians(2.5)
+_TRACK_M, _CRUMB_M, _CRUMBS = 0.1, 0.05, 64  # width of the track that was flown, its places, and most of them
 _TURNS_RAD = tuple(math.radians(side * turn) for turn in range(0, 90, 15) for side in (1, -1))  # straight on wins a tie
 
 
@@ -61,6 +62,7 @@ class Guard:
         self._last_ns: int | None = None
         self._held = False  # stopped, until there is clearly more room
         self._commands: deque[tuple[int, Floats]] = deque()  # time and velocity in the world of those that may act
+        self._track: deque[Floats] = deque(maxlen=_CRUMBS)  # latest places (3) where no obstacle stopped it [m]
 
     def limit(self, wanted: ArrayLike, sectors: ObstacleSectors, odometry: Trajectory | None) -> Limit:
         """Return the velocity to fly now.
@@ -81,6 +83,11 @@ class Guard:
         world_from_level, own = _level(odometry)
         table = self._table(own, sectors, world_from_level)
         limit = self._limit(want, own, sectors, table, world_from_level)
+        if limit.state in ("stop", "back_off") and self._retraces(want, own, sectors, table, odometry):
+            speed = min(self.spec.back_off_m_s, float(np.linalg.norm(want)))
+            limit = replace(limit, velocity=want / np.linalg.norm(want) * speed, state="back_off")
+        elif limit.state in ("free", "limited"):
+            self._note(odometry.position[-1])
         self._commands.append((sectors.t_ns, limit.velocity))
         return limit
 
@@ -99,8 +106,11 @@ class Guard:
         table = self._table(own, sectors, world_from_level)
 
         def progress(turn_rad: float) -> float:
-            turned = world_from_level.T @ _turn(turn_rad) @ want
-            return math.cos(turn_rad) * self._share(turned, own, sectors, table)[0]
+            turned = _turn(turn_rad) @ want
+            share = self._share(world_from_level.T @ turned, own, sectors, table)[0]
+            if share < 1 and self._retraces(turned, own, sectors, table, odometry):
+                share = max(share, min(self.spec.back_off_m_s / float(np.linalg.norm(want)), 1.0))
+            return math.cos(turn_rad) * share
 
         return want if progress(0.0) >= 1 else np.asarray(_turn(max(_TURNS_RAD, key=progress)) @ want)
 
@@ -117,6 +127,32 @@ class Guard:
         share, k, free_m = self._share(own, own, sectors, self._table(own, sectors, world_from_level))
         sensor = sectors.sensors[k] if k >= 0 else ""
         return Limit(world_from_level @ own * share, "free" if share >= 1 else "stop", sensor, free_m)
+
+    def _note(self, here: Floats) -> None:
+        """Remember a place of the track; after a jump of the poses only the new ones."""
+        away_m = float(np.linalg.norm(here - self._track[-1])) if self._track else math.inf
+        if away_m > _CRUMBS * _CRUMB_M:
+            self._track.clear()
+        if away_m >= _CRUMB_M:
+            self._track.append(np.array(here))
+
+    def _retraces(
+        self, want: Floats, own: Floats, sectors: ObstacleSectors, table: _Table, odometry: Trajectory
+    ) -> bool:
+        """Whether a velocity in the world leads back along the own track, where no obstacle at rest can be.
+
+        It does so at the speed of a retreat, unless an obstacle that approaches by itself forbids that.
+        """
+        size, slow = float(np.linalg.norm(want)), self.spec.back_off_m_s
+        if not slow or size < _STOPPED_M_S or not self._track:
+            return False
+        ahead = odometry.position[-1] + 2 * _TRACK_M * want / size
+        if np.linalg.norm(np.array(self._track) - ahead, axis=1).min() > _TRACK_M:
+            return False
+        level, _ = _level(odometry)
+        retreat = level.T @ want * min(slow / size, 1.0)
+        moving = table.only(table.approach.own_m_s > table.sigma)
+        return _covered(retreat, sectors) and self._share(retreat, own, sectors, moving)[0] >= 1
 
     def _limit(
         self, want: Floats, own: Floats, sectors: ObstacleSectors, table: _Table, world_from_level: Floats
