@@ -62,7 +62,7 @@ class Guard:
         self._last_ns: int | None = None
         self._held = False  # stopped, until there is clearly more room
         self._commands: deque[tuple[int, Floats]] = deque()  # time and velocity in the world of those that may act
-        self._track: deque[Floats] = deque(maxlen=_CRUMBS)  # latest places (3) where no obstacle stopped it [m]
+        self._track: deque[Floats] = deque(maxlen=_CRUMBS)  # latest places (3) of the drone [m]
 
     def limit(self, wanted: ArrayLike, sectors: ObstacleSectors, odometry: Trajectory | None) -> Limit:
         """Return the velocity to fly now.
@@ -86,8 +86,7 @@ class Guard:
         if limit.state in ("stop", "back_off") and self._retraces(want, own, sectors, table, odometry):
             speed = min(self.spec.back_off_m_s, float(np.linalg.norm(want)))
             limit = replace(limit, velocity=want / np.linalg.norm(want) * speed, state="back_off")
-        elif limit.state in ("free", "limited"):
-            self._note(odometry.position[-1])
+        self._note(odometry.position[-1])
         self._commands.append((sectors.t_ns, limit.velocity))
         return limit
 
