@@ -352,7 +352,7 @@ def explore(
 ) -> None:
     """Let a drone map a world by its own decisions.
 
-    It flies where its map could learn most, by space known to be free, with the guard on, and comes home in time.
+    It flies where its map could learn most, with the guard on, and comes home in time.
     Ctrl-C ends the flight, and everything up to then is written. An aircraft then hovers.
     """
     world = with_arguments(world, xacro or [])

@@ -111,6 +111,13 @@ class FlightSpec(Spec):
     )  # fmt: skip
     imu_topic: str = Field("", description="of sensor_msgs/Imu in a bag; none: the only one there")
     imu: ImuSpec = Field(ImuSpec(), description="data sheet of the inertial unit, by default a BMI088's")
+    free_probability: float | None = Field(
+        None, ge=0.5, le=1, description="exploring flights plan paths only where all within the clearance is free "
+        "with at least this probability; none: also through unknown space"
+    )  # fmt: skip
+    free_start_m: float = Field(
+        0.0, ge=0, le=10, description="unknown space within this distance of an exploring flight's start counts as free"
+    )
     guard: GuardSpec = GuardSpec()
 
     @field_validator("waypoints")

@@ -15,7 +15,9 @@ from typer.testing import CliRunner
 
 import ullage as ul
 from ullage.cli import app
+from ullage.config import make_scenario
 from ullage.errors import InputError
+from ullage.experiments.exploration import prepare
 from ullage.experiments.exploration_report import observable_from, reachable
 from ullage.experiments.explorer import HOLD_S, LATE_S, TOUCH_M_S, Explorer
 from ullage.experiments.guarded_flight import WaypointFollower
@@ -23,7 +25,9 @@ from ullage.flight.explore import ViewPlanner
 from ullage.flight.live import Steered, Wish
 from ullage.geometry import rpy_quat
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
+from ullage.pipeline import MapStage, run
 from ullage.processing.metrics import on_map
+from ullage.view.replay import MapHistory
 
 START = np.array([1.0, 1.0, 1.0, 0.0])
 GRID = Grid((-0.5, -0.5, 1.0), 0.1, (50, 70))
@@ -214,6 +218,46 @@ def test_a_pilot_without_room_is_boxed_in_and_says_so() -> None:
     assert len(track) / 10 < 10
 
 
+def test_a_pilot_through_free_space_only_never_has_its_clearance_over_a_cell_not_known_free() -> None:
+    explorer = Explorer(START, time_s=100.0, speed_m_s=0.5, clearance_m=0.4, free_probability=0.95)
+    track, omap = fly_by_sight(explorer, sight_m=1.5)
+    assert explorer.at_home
+    assert (omap.percent[5:45, 5:65] != UNKNOWN).mean() > 0.9
+    x, y = np.meshgrid(GRID.x_m, GRID.y_m)
+    known = np.zeros(GRID.shape, bool)
+    for step, place in enumerate(track):
+        away_m = np.hypot(x - place[0], y - place[1])
+        assert known[away_m <= 0.3].all() or not step  # less a cell
+        known |= (away_m <= 1.5) & (hall() == 5)
+
+
+@pytest.mark.parametrize("free_start_m", [0.0, 1.2])
+def test_a_flight_through_free_space_only_leaves_where_its_start_is_free_and_else_says_why_not(
+    free_start_m: float,
+) -> None:
+    """By the map of each decision: the hull covers no cell that is not known free, but at the start."""
+    low = [QUICK[0], "flight.waypoints=[[-1,0,-0.3]]", "flight.guard.on=true"]  # it lands soon
+    options = [*low, "flight.free_probability=0.95", f"flight.free_start_m={free_start_m}"]
+    flight = prepare(make_scenario({"name": "explore"}, options=options), time_s=40.0, scene=ROOM)
+    grid, history = Grid.covering(ROOM.bounds, 0.1, z_m=-0.3), MapHistory()
+    run(flight, stages=[MapStage(grid, every_s=0.5, live=True)], sinks=[flight.maps, history])
+    assert flight.pilot.at_home
+    assert flight.pilot.landed
+    if not free_start_m:
+        assert "boxed in: mapped surfaces and space not known to be free at 0.95 leave no room" in flight.summary()
+        return
+    x, y = np.meshgrid(grid.x_m, grid.y_m)
+    places, times = flight.aloft.position, np.array([t_s for t_s, _ in history.maps()])
+    safe = np.hypot(x - places[0, 0], y - places[0, 1]) <= free_start_m
+    for t_ns, place in zip(flight.aloft.t_ns, places, strict=True):
+        away_m = np.hypot(x - place[0], y - place[1])
+        if (before := int(np.searchsorted(times, t_ns * 1e-9 - 1e-9)) - 1) >= 0:
+            percent = history.maps()[before][1].percent
+            assert (safe | ((percent >= 0) & (percent <= 5)))[away_m <= 0.4].all()
+        safe |= away_m <= 0.25
+    assert np.linalg.norm(places - places[0], axis=1).max() > free_start_m
+
+
 def test_the_same_seed_gives_the_same_flight_and_frames_carry_its_believed_poses() -> None:
     given: list[bool] = []
 
@@ -292,6 +336,8 @@ def test_a_room_is_explored_without_contact_and_the_run_folder_says_so(
         (["explore", "ntnu-room", "--height", "2.95"], "the start at"),
         (["explore", "ntnu-room", "-o", "flight.speed=1"], "flight.speed"),
         (["explore", "ntnu-room", "-o", "sensing.rate_hz=2"], "flight.guard.latency_s"),
+        (["explore", "ntnu-room", "-o", "flight.free_probability=0.3"], "flight.free_probability"),
+        (["explore", "ntnu-room", "-o", "flight.free_start_m=-1"], "flight.free_start_m"),
     ],
 )
 def test_what_cannot_be_explored_is_refused_in_one_line(

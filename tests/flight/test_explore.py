@@ -27,13 +27,13 @@ def drawn(*free: tuple[float, float, float, float]) -> OccupancyMap:
     return OccupancyMap(GRID, percent)
 
 
-def planner(home: tuple[float, float] = (1.0, 1.0)) -> ViewPlanner:
-    return ViewPlanner(GRID, np.array(home), clearance_m=CLEARANCE_M, speed_m_s=0.5)
+def planner(home: tuple[float, float] = (1.0, 1.0), **options: float | None) -> ViewPlanner:
+    return ViewPlanner(GRID, np.array(home), clearance_m=CLEARANCE_M, speed_m_s=0.5, **options)
 
 
-def room_along(omap: OccupancyMap, leg: Leg) -> float:
-    """Least distance from the path to a cell of a surface, or off the grid [m]."""
-    gap = distance_transform_edt(np.pad(~omap.occupied, 1))[1:-1, 1:-1] * STEP_M
+def room_along(omap: OccupancyMap, leg: Leg, barred: np.ndarray | None = None) -> float:
+    """Least distance from the path to a barred cell, by default one of a surface, or off the grid [m]."""
+    gap = distance_transform_edt(np.pad(~(omap.occupied if barred is None else barred), 1))[1:-1, 1:-1] * STEP_M
     points = np.concatenate([np.linspace(a, b, 50) for a, b in zip(leg.path[:-1], leg.path[1:], strict=True)])
     cells, _ = GRID.index(points)
     return float(gap[cells[:, 0], cells[:, 1]].min())
@@ -63,6 +63,56 @@ def test_a_path_keeps_its_clearance_and_the_way_home_fits_the_time(
     assert back is not None
     assert back.travel_s == pytest.approx(leg.home_s)
     assert room_along(omap, back) >= CLEARANCE_M
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    gaps=st.lists(BOX, max_size=3),
+    value=st.sampled_from([UNKNOWN, AMBIGUOUS, 12, 50, 95]),
+    least=st.sampled_from([0.5, 0.9, 0.95]),
+)
+def test_a_path_through_free_space_only_keeps_its_clearance_from_every_other_cell(
+    gaps: list[tuple[float, float, float, float]], value: int, least: float
+) -> None:
+    """There and home, along tracks that were flown too; a cell may be unknown, ambiguous, or not free enough."""
+    percent = drawn((0.3, 9.0, 0.3, 7.0)).percent.copy()
+    for x, width, y, height in gaps:
+        here = (GRID.x_m > x) & (GRID.x_m < x + width), (GRID.y_m > y) & (GRID.y_m < y + height)
+        percent[np.ix_(here[1], here[0])] = value
+    omap, head = OccupancyMap(GRID, percent), planner(free_probability=least)
+    barred = (percent < 0) | (percent > 100 * (1 - least) + 1e-9)
+    leg = head.next_view(head.at(omap, np.array([1.0, 1.0])), math.inf)
+    assert leg is not None
+    back = head.home(head.at(omap, leg.goal))
+    assert back is not None
+    for one in (leg, back):
+        assert room_along(omap, one, barred) >= CLEARANCE_M
+
+
+def test_through_free_space_only_the_vehicle_needs_free_room_at_its_start() -> None:
+    """On a map that knows the hull alone no path begins; where unknown space at the start is free, one does."""
+    omap, here = drawn((0.7, 1.3, 0.7, 1.3)), np.array([1.0, 1.0])
+    boxed = planner(free_probability=0.95)
+    assert boxed.at(omap, here).narrow
+    assert boxed.next_view(boxed.at(omap, here), math.inf) is None
+    head = planner(free_probability=0.95, free_start_m=0.8)
+    leg = head.next_view(head.at(omap, here), math.inf)
+    assert leg is not None
+    assert np.linalg.norm(leg.path - here, axis=1).max() <= 0.8 - CLEARANCE_M + STEP_M
+    percent = omap.percent.copy()
+    percent[GRID.y_m < 0.7] = 95  # a surface stays one, at the start too
+    open_ = np.argwhere(head.at(OccupancyMap(GRID, percent), here).open)
+    assert GRID.y_m[open_[:, 0]].min() >= here[1] - STEP_M
+
+
+@pytest.mark.parametrize(("value", "least", "closes"), [(UNKNOWN, None, False), (12, 0.85, False), (12, 0.9, True),
+                                                        (UNKNOWN, 0.85, True), (AMBIGUOUS, 0.5, True)])  # fmt: skip
+def test_a_line_to_the_path_that_is_not_free_enough_is_closed(value: int, least: float | None, closes: bool) -> None:
+    omap, place, path = drawn((0.3, 9.0, 0.3, 7.0)), np.array([1.0, 3.5]), np.array([[6.0, 3.5]])
+    percent, head = omap.percent.copy(), planner(free_probability=least)
+    percent[:, 40:42] = value
+    assert head.is_open(head.at(omap, place), path)
+    assert head.is_open(head.at(OccupancyMap(GRID, percent), place), path) != closes
 
 
 def test_the_goal_lies_at_the_frontier_and_not_at_a_wall() -> None:
@@ -208,3 +258,5 @@ def test_a_home_off_the_map_and_no_clearance_are_refused() -> None:
         planner((20.0, 1.0))
     with pytest.raises(InputError, match="clearance_m is 0"):
         ViewPlanner(GRID, np.array([1.0, 1.0]), clearance_m=0, speed_m_s=0.5)
+    with pytest.raises(InputError, match=r"chance is 2.*0.5 to 1"):
+        planner(free_probability=2.0).at(drawn(), np.array([1.0, 1.0]))

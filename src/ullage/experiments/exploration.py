@@ -62,7 +62,8 @@ class Exploration:
         hull_m = airframe(plan.vehicle).radius_m if loop.vehicle is None else loop.vehicle.hull_m
         clearance_m = hull_m + plan.guard.margin_m
         self.pilot = Explorer(start, time_s=time_s, speed_m_s=plan.speed_m_s, clearance_m=clearance_m,
-                              drop_m=_height_over_ground(loop.scene, start))  # fmt: skip
+                              drop_m=_height_over_ground(loop.scene, start),
+                              free_probability=plan.free_probability, free_start_m=plan.free_start_m)  # fmt: skip
         self.maps = MapFeed(self.pilot)
         self._flown: list[Trajectory] = []
         self._believed: list[Trajectory] = []

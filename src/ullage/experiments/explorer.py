@@ -43,14 +43,18 @@ class Explorer:
         start: x, y, z [m], yaw [deg].
         time_s: of the flight, with the way home.
         speed_m_s: of the flight.
-        clearance_m: from the vehicle's centre to mapped surfaces.
+        clearance_m: from the vehicle's centre to mapped surfaces, or with `free_probability` to all not so free.
         drop_m: height of the start over the ground that it took off from; None: it ends hovering [m].
+        free_probability: least probability that space on a path is free; None: paths also cross unknown space.
+        free_start_m: unknown space within this distance of the start is free.
     """
 
     def __init__(
-        self, start: Floats, *, time_s: float, speed_m_s: float, clearance_m: float, drop_m: float | None = None
-    ) -> None:
+        self, start: Floats, *, time_s: float, speed_m_s: float, clearance_m: float, drop_m: float | None = None,
+        free_probability: float | None = None, free_start_m: float = 0.0,
+    ) -> None:  # fmt: skip
         self._start, self._speed, self.time_s, self.clearance_m = start, speed_m_s, time_s, clearance_m
+        self.free_probability, self.free_start_m = free_probability, free_start_m
         self._drop_m, self._sunk = drop_m, (0.0, math.inf)  # when and how low it was last clearly lower
         self._landing_s = 0.0 if drop_m is None else drop_m / SINK_M_S + TOUCH_M / TOUCH_M_S + SETTLED_S
         self.landing_from_s: float | None = None
@@ -131,7 +135,9 @@ class Explorer:
         if omap is None or self.ended or now_s < LISTEN_S:
             return
         if self._planner is None:
-            self._planner = ViewPlanner(omap.grid, self._start, clearance_m=self.clearance_m, speed_m_s=self._speed)
+            self._planner = ViewPlanner(omap.grid, self._start, clearance_m=self.clearance_m, speed_m_s=self._speed,
+                                        free_probability=self.free_probability,
+                                        free_start_m=self.free_start_m)  # fmt: skip
         if self._follower.arrived or not np.linalg.norm(here[:2] - self._looked) < LOOK_M:
             self._planner.saw(omap, here)
             self._looked = here[:2]
@@ -179,7 +185,7 @@ class Explorer:
         if planner.next_view(now, math.inf) is not None:
             why = f"the views left are too far away for the {left_s:.0f} s left"
         elif now.narrow:
-            why = "boxed in: mapped surfaces leave no room to fly"
+            why = f"boxed in: mapped {planner.barrier} leave no room to fly"
         self._turn_home(planner, now, here, now_s, why=why)
 
     def _due(self, planner: ViewPlanner, now: Situation, now_s: float) -> bool:
@@ -204,7 +210,9 @@ class Explorer:
     def _turn_home(self, planner: ViewPlanner, now: Situation, here: Floats, now_s: float, *, why: str) -> None:
         self.why_home, self.upcoming = why, planner.next_view(now, math.inf)
         if (cut_m2 := planner.cut_off_m2(now)) >= LEAST_GAIN_M2:
-            self.why_home += f"; {cut_m2:.1f} m2 of free space could not be reached, as surfaces leave too little room"
+            self.why_home += (
+                f"; {cut_m2:.1f} m2 of free space could not be reached, as {planner.barrier} leave too little room"
+            )
         self._fly(self._way_home(planner, now), here, now_s)
 
     def _go_on_home(self, planner: ViewPlanner, now: Situation, here: Floats, now_s: float, *, stuck: bool) -> None:

@@ -7,7 +7,8 @@ may need another direction. Each view therefore counts in its direction alone, a
 learned by the next one with a chance of 1 / (1 + n), by the rule of succession.
 
 Beams free little space between walls. Paths may therefore cross unknown cells, as if they were free, until the map or
-the guard shows otherwise [KoenigEtAl2003]. Unknown space costs more time than space known to be free.
+the guard shows otherwise [KoenigEtAl2003]. Unknown space costs more time than space known to be free. With a least
+probability that space is free, every other cell counts as a surface.
 """
 
 from __future__ import annotations
@@ -94,17 +95,24 @@ class ViewPlanner:
         home: x, y [m].
         clearance_m: least distance from the vehicle's centre to mapped surfaces [m].
         speed_m_s: of the flight [m/s].
+        free_probability: least probability of free space on a path, 0.5 to 1; None: paths also cross unknown cells.
+        free_start_m: unknown and ambiguous cells within this distance of home are free [m].
 
     Raises:
         InputError: home is off the grid, or a number is not above zero.
     """
 
-    def __init__(self, grid: Grid, home: Floats, *, clearance_m: float, speed_m_s: float) -> None:
+    def __init__(
+        self, grid: Grid, home: Floats, *, clearance_m: float, speed_m_s: float, free_probability: float | None = None,
+        free_start_m: float = 0.0,
+    ) -> None:  # fmt: skip
         for name, value in (("clearance_m", clearance_m), ("speed_m_s", speed_m_s)):
             if not (math.isfinite(value) and value > 0):
                 raise InputError(f"{name} is {value}", where="ViewPlanner", allowed="> 0")
         self.grid, self.clearance_m, self.speed_m_s = grid, clearance_m, speed_m_s
+        self.free_probability = free_probability
         self._flown = np.zeros(grid.shape, bool)
+        self._start = self._within(home, free_start_m)
         self._stops = np.zeros(grid.shape)  # of the guard about each cell
         self._views = np.zeros((SECTORS, grid.size), np.float32)  # in each direction, weighted by what they could teach
         self._home = self._cell(home)
@@ -124,8 +132,12 @@ class ViewPlanner:
 
     def stopped(self, place: Floats, radius_m: float) -> None:
         """Note that the guard stopped the vehicle before a place: paths about it cost more."""
+        self._stops += self._within(place, radius_m)
+
+    def _within(self, place: Floats, radius_m: float) -> Bools:
+        """Cells (ny, nx) whose centres are at most so far from a place."""
         x, y = np.meshgrid(self.grid.x_m - place[0], self.grid.y_m - place[1])
-        self._stops += np.hypot(x, y) <= radius_m
+        return np.asarray(np.hypot(x, y) <= radius_m)
 
     def saw(self, omap: OccupancyMap, place: Floats) -> None:
         """Count a view from here: what it leaves unknown is less likely to be learned from that direction again."""
@@ -135,13 +147,21 @@ class ViewPlanner:
     def at(self, omap: OccupancyMap, place: Floats) -> Situation:
         """Return what the vehicle can reach from here by this map.
 
-        A cell is open where no mapped surface is nearer than the asked clearance, less a cell by which the map may err,
-        or where the vehicle flew. It costs no extra time where all within the clearance is known to be free.
+        A cell is open where no possible surface is nearer than the asked clearance, less a cell by which the map may
+        err, or where the vehicle flew. Surfaces are possible in occupied cells, or with a least probability of free
+        space in every cell below it. A cell costs no extra time where all within the clearance is known to be free.
+
+        Raises:
+            InputError: the place is off the grid, or the probability out of bounds.
         """
         grid = omap.grid
-        held = OccupancyMap(grid, np.where(self._flown, np.int8(0), omap.percent))
-        solid = OccupancyMap(grid, np.where(held.occupied, np.int8(100), np.int8(0)))
-        spare_m = solid.clearance().distance_m - (self.clearance_m - grid.step_m)
+        free_too = self._flown | (self._start & (omap.percent < 0))
+        held = OccupancyMap(grid, np.where(free_too, np.int8(0), omap.percent))
+        solid = held
+        if self.free_probability is None:
+            solid = OccupancyMap(grid, np.where(held.occupied, np.int8(100), np.int8(0)))
+        distance_m = solid.clearance(chance=self.free_probability).distance_m
+        spare_m = distance_m - (self.clearance_m - grid.step_m)
         open_ = (spare_m >= 0) | self._flown
         here = self._cell(place)
         open_[here] = True
@@ -189,12 +209,23 @@ class ViewPlanner:
         return places, np.concatenate([[0.0], np.cumsum(np.diff(at) * (cost[1:] + cost[:-1]) / 2)])
 
     def is_open(self, now: Situation, path: Floats) -> bool:
-        """Whether a path (n, 2) crosses open cells only [m]."""
-        cells, _ = self.grid.index(path)
+        """Whether a path (n, 2) crosses open cells only [m].
+
+        With a least probability of free space the line from the vehicle to the path counts too: the guard watches for
+        surfaces there, and not for unknown space.
+        """
+        on = path if self.free_probability is None else np.vstack([now.place, path])
+        cells, _ = self.grid.index(on)
         return all(now.open[between(a, b)].all() for a, b in pairwise(cells))
 
+    @property
+    def barrier(self) -> str:
+        """What bars a path, in words."""
+        least = self.free_probability
+        return "surfaces" if least is None else f"surfaces and space not known to be free at {least:g}"
+
     def cut_off_m2(self, now: Situation) -> float:
-        """Return the area known to be free that no path comes near, as mapped surfaces leave too little room [m2]."""
+        """Return the area held free that no path comes near, as what bars paths leaves too little room [m2]."""
         near = np.ones(self.grid.shape, bool)
         near[tuple(now.cells[np.isfinite(now.away_m[0])].T)] = False
         far = distance_transform_edt(near) * self.grid.step_m > self.clearance_m + self.grid.step_m
@@ -219,8 +250,11 @@ class ViewPlanner:
         wanted = (now.cells % stride == 0).all(1)
         same = np.zeros(len(wanted), bool) if kept is None else (now.cells == self._cell(kept.goal)).all(1)
         travel_s, home_s = self.time_s(now.away_m)  # along the lattice, and so but a first estimate
-        far = np.linalg.norm(now.cells - now.cells[now.here], axis=1) * self.grid.step_m >= APERTURE_M
-        wanted &= far & np.isfinite(now.away_m).all(0) & ~self._flown[now.open]
+        far_m = np.linalg.norm(now.cells - now.cells[now.here], axis=1) * self.grid.step_m
+        new = np.isfinite(now.away_m).all(0) & ~self._flown[now.open]
+        wanted &= (far_m >= APERTURE_M) & new
+        if self.free_probability is not None and new.any() and not wanted.any():  # little is free yet: its far side
+            wanted = new & (far_m >= min(APERTURE_M, far_m[new].max()))
         rows = np.flatnonzero((wanted | same) & (travel_s + home_s + RESERVE_S <= left_s))
         if not len(rows):
             return None
