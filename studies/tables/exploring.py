@@ -15,6 +15,7 @@ import csv
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -38,10 +39,18 @@ from ullage.processing.metrics import on_map
 from ullage.view.replay import MapHistory
 from ullage.world.library import WORLDS
 from ullage.world.scene import Scene
+from ullage.world.scenes import cylinder
 
 NAME, RATE_HZ, SPEED_M_S, STEP_M = "exploring", 10.0, 0.5, 0.1
 LONG = ("sensing.changes.prf_div=64", "sensing.changes.iterations=24")  # no folds in a world longer than 9.87 m
-KINDS = ("explorer", "survey", "radar poses", "radar dies", "IMU jumps")
+KINDS = ("explorer", "survey", "free space only", "wind", "person walks", "radar poses", "radar dies", "IMU jumps")
+OPTIONS = {
+    "radar poses": ("flight.poses=radar",),
+    "IMU jumps": ("flight.poses=radar",),
+    "free space only": ("flight.free_probability=0.95", "flight.free_start_m=0.9"),
+    "wind": ("flight.wind_m_s=[2, 0, 0]", "flight.gust_m_s=0.5"),
+}
+PERSON, WALK_M_S = "person", 1.0
 PLACES = ("ntnu-room", "office", "pipe-rack", "ballast-tank", "silo", "lying-tank", "cargo-hold")
 HEADER = ("world, seed", "flight", "time [s]; CPU [s/s]", "mapped at half; end", "contacts; closest [m]",
           "pose errors: rms; end [m]; lost [%]")  # fmt: skip
@@ -100,11 +109,26 @@ class Jumping(LivePoses):
         return Imu(imu.t_ns, imu.angular_velocity + late * turn, imu.specific_force + late * push)
 
 
+def walker(scene: Scene, seconds: float) -> Scene:
+    """Return a body as large as a person that walks up and down across the middle of a world, wall to wall."""
+    low, high = scene.bounds
+    radius_m, height_m = 0.25, 1.8
+    t_ns = (np.arange(round(seconds / 0.1) + 1) * 1e8).astype(np.int64)
+    length_m = high[1] - low[1] - 4 * radius_m
+    at_m = WALK_M_S * t_ns * 1e-9 % (2 * length_m)
+    y = low[1] + 2 * radius_m + np.minimum(at_m, 2 * length_m - at_m)
+    x, z = np.full(len(y), (low[0] + high[0]) / 2), np.full(len(y), low[2] + height_m / 2)
+    body = cylinder(radius_m, height_m, material="skin", name=PERSON)
+    motion = ul.Trajectory(t_ns, np.column_stack([x, y, z]), np.tile([0.0, 0.0, 0.0, 1.0], (len(y), 1)))
+    return replace(body, objects=(replace(body.objects[0], motion=motion),))
+
+
 def explore(world: str, seed: int, seconds: float, kind: str) -> list[str]:
-    """Let the explorer fly, and judge it."""
-    radar = kind in ("radar poses", "IMU jumps")
-    place = place_of(world, seed, *(["flight.poses=radar"] if radar else []))
-    loop = Loop(place.plan, place.scene, place.plan.sensing.radars(), RATE_HZ)
+    """Let the explorer fly, and judge it by what stands still, but contacts and distance by a person too."""
+    place = place_of(world, seed, *OPTIONS.get(kind, ()))
+    person = walker(place.scene, 2 * seconds) if kind == "person walks" else None
+    scene = place.scene if person is None else place.scene.add(person)
+    loop = Loop(place.plan, scene, place.plan.sensing.radars(), RATE_HZ)
     if kind == "IMU jumps":
         loop.poses = Jumping(seed, seconds / 10)  # before the poses are lost
     if kind == "radar dies":
@@ -119,12 +143,19 @@ def explore(world: str, seed: int, seconds: float, kind: str) -> list[str]:
     judged = judge(flight, maps, place.scene, kept.frames())
     print(*judged.lines, sep="\n", flush=True)
     found = {one.name: one.value for one in judged.metrics}
+    closest = found["closest_approach"]
+    if person is not None:  # also while it lands
+        closest = min(closest, closest_m(person, flight.flown, place.plan.flight.vehicle))
+    touched = [
+        *(one for one in loop.contacts if one[1] == PERSON),
+        *(one for one in flight.contacts if one[1] != PERSON),
+    ]
     errors = [f"{found[name]:.{digits}f}"
               for name, digits in (("pose_rms", 2), ("pose_end", 2), ("poses_lost", 0)) if name in found]  # fmt: skip
     return [
         f"{flight.flown.duration_s:.0f}; {cpu_s / flight.flown.duration_s:.1f}",
         f"{found.get('explored_at_50', 0):.2f}; {found.get('explored', 0):.2f}",
-        f"{found['contacts']:.0f}; {found['closest_approach']:.2f}", "; ".join(errors),
+        f"{len(touched)}; {closest:.2f}", "; ".join(errors),
     ]  # fmt: skip
 
 
