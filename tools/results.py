@@ -19,17 +19,20 @@ RESULTS = ROOT / "studies" / "results"
 BLOCK = re.compile(r"(?<=<!-- results: )([\w-]+)( -->\n).*?(?=<!-- end of results -->)", re.S)
 
 
-def save(name: str, rows: Sequence[Sequence[str]], command: str) -> Path:
+def save(name: str, rows: Sequence[Sequence[str]], command: str, *, earlier: bool = False) -> Path:
     """Write a table, its header first, with the commit and the date of now.
 
     Args:
         name: of the file, without its ending.
         rows: cells of the header and of each row.
         command: what measures the table anew.
+        earlier: some rows are of earlier commits.
     """
     commit = _git("rev-parse", "--short=8", "HEAD")
     if _git("status", "--porcelain", "--", "src", "benchmarks"):
         commit += " with changes"
+    if earlier:
+        commit += " or earlier"
     file = RESULTS / f"{name}.csv"
     with file.open("w", encoding="utf-8", newline="") as out:
         out.write(f"# commit: {commit}\n# date: {datetime.now(UTC).date()}\n# command: {command}\n")

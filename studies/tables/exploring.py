@@ -1,11 +1,13 @@
-"""Fly explorers and scripted surveys of equal time, and write one row a flight to `studies/results/exploring.csv`.
+"""Fly explorers and scripted surveys of equal time, and summarise all flights in `studies/results/exploring.csv`.
 
     python -m studies.tables.exploring [--seconds 60] [--seeds 1 2] [--worlds ntnu-room silo] [--kinds explorer survey]
+    python -m studies.tables.exploring --summary
 
 A world is a library world, or a kind of the random ones, of which the seed picks one. The survey is a round along the
 walls, 1 m from them, or the flight of the world itself where there is no such round. It flies without a guard, at the
-same speed, back and forth until the time is up, and need not come home. Rows that the file holds are not flown again,
-so a run that was cut short goes on. Worlds longer than 9 m get a longer pulse interval.
+same speed, back and forth until the time is up, and need not come home. Worlds longer than 9 m get a longer pulse
+interval. `studies/results/flights/exploring.csv` has a row for each flight. Flights that it holds are not flown again,
+so a run that was cut short goes on. `--summary` only rebuilds the summary from it.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import argparse
 import csv
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -41,7 +43,8 @@ from ullage.world.library import WORLDS
 from ullage.world.scene import Scene
 from ullage.world.scenes import cylinder
 
-NAME, RATE_HZ, SPEED_M_S, STEP_M = "exploring", 10.0, 0.5, 0.1
+NAME, FLIGHTS, COMMAND = "exploring", "flights/exploring", "python -m studies.tables.exploring"
+RATE_HZ, SPEED_M_S, STEP_M = 10.0, 0.5, 0.1
 LONG = ("sensing.changes.prf_div=64", "sensing.changes.iterations=24")  # no folds in a world longer than 9.87 m
 KINDS = ("explorer", "survey", "free space only", "wind", "person walks", "radar poses", "radar dies", "IMU jumps")
 OPTIONS = {
@@ -54,6 +57,7 @@ PERSON, WALK_M_S = "person", 1.0
 PLACES = ("ntnu-room", "office", "pipe-rack", "ballast-tank", "silo", "lying-tank", "cargo-hold")
 HEADER = ("world, seed", "flight", "time [s]; CPU [s/s]", "mapped at half; end", "contacts; closest [m]",
           "pose errors: rms; end [m]; lost [%]")  # fmt: skip
+SUMMARY = ("world", "flight", "flights", HEADER[2], "mapped at half; end (worst)", *HEADER[4:])
 
 
 class Place(NamedTuple):
@@ -196,26 +200,65 @@ def scripted(place: Place, seconds: float, seed: int) -> ul.Trajectory:
     return ul.fly(ul.Waypoints(points, SPEED_M_S, yaw="along"), rate_hz=RATE_HZ, seed=seed)[: int(seconds * RATE_HZ)]
 
 
+def summary(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return a row for each world and kind of flight: means, the least mapped, all contacts, the least distance.
+
+    The least shares that are mapped follow the means where there are several flights.
+
+    Raises:
+        InputError: a flight is there twice.
+    """
+    groups: dict[tuple[str, str], list[Sequence[str]]] = {}
+    for row in rows:
+        groups.setdefault((row[0].rsplit(", ", 1)[0], row[1]), []).append(row)
+    for (world, kind), some in groups.items():
+        if len({row[0] for row in some}) < len(some):
+            raise InputError(
+                f"a flight {kind!r} in {world} is there twice", where=f"{FLIGHTS}.csv", allowed="one a seed"
+            )
+    worlds = [*PLACES, *sorted({world for world, _ in groups} - set(PLACES))]
+    keys = sorted(groups, key=lambda key: (worlds.index(key[0]), KINDS.index(key[1])))
+    return [[*key, str(len(groups[key])), *_digest(sorted(groups[key]))] for key in keys]
+
+
+def _digest(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the cells of a summary of some flights."""
+    times, mapped, meets, errors = ([row[k].split("; ") for row in rows if row[k]] for k in range(2, 6))
+    time_s, cpu = np.array(times, float).mean(0)
+    shares = np.array(mapped, float)
+    mean, worst = ("; ".join(f"{share:.2f}" for share in part) for part in (shares.mean(0), shares.min(0)))
+    met = "-" if any(count == "-" for count, _ in meets) else f"{sum(int(count) for count, _ in meets)}"
+    rms, end, lost = np.array(errors, float).mean(0) if errors else np.zeros(3)
+    return [
+        f"{time_s:.0f}; {cpu:.1f}", f"{mean} ({worst})" if len(rows) > 1 else mean,
+        f"{met}; {min(float(gap) for _, gap in meets):.2f}", f"{rms:.2f}; {end:.2f}; {lost:.0f}" if errors else "",
+    ]  # fmt: skip
+
+
+def rows_of(name: str) -> list[list[str]]:
+    """Return the rows of a table of results without its header; none where there is no such file."""
+    file = RESULTS / f"{name}.csv"
+    return [*csv.reader(line for line in file.open() if not line.startswith("# "))][1:] if file.exists() else []
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--worlds", nargs="+", default=list(PLACES))
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=["explorer", "survey", "radar poses"])
-    given = parser.parse_args()
-    file = RESULTS / f"{NAME}.csv"
-    rows = [*csv.reader(line for line in file.open() if not line.startswith("# "))][1:] if file.exists() else []
-    for seed in given.seeds:
-        for world in given.worlds:
-            for kind in given.kinds:
-                key = [f"{world}, {seed}", kind]
-                if key in [row[:2] for row in rows]:
-                    continue
-                row = survey(world, seed, given.seconds) if kind == "survey" else explore(
-                    world, seed, given.seconds, kind)  # fmt: skip
-                rows.append([*key, *row])
-                print(" | ".join(rows[-1]), flush=True)
-                save(NAME, [HEADER, *rows], "python -m studies.tables.exploring")
+    parser.add_argument("--summary", action="store_true", help="fly nothing")
+    given, rows = parser.parse_args(), rows_of(FLIGHTS)
+    wanted = [(f"{world}, {seed}", kind, world, seed) for seed in given.seeds for world in given.worlds
+              for kind in given.kinds]  # fmt: skip
+    for name, kind, world, seed in [] if given.summary else wanted:
+        if [name, kind] in [row[:2] for row in rows]:
+            continue
+        row = survey(world, seed, given.seconds) if kind == "survey" else explore(world, seed, given.seconds, kind)
+        rows.append([name, kind, *row])
+        print(" | ".join(rows[-1]), flush=True)
+        save(FLIGHTS, [HEADER, *rows], COMMAND, earlier=True)
+    save(NAME, [SUMMARY, *summary(rows)], COMMAND, earlier=True)
 
 
 if __name__ == "__main__":
