@@ -131,11 +131,11 @@ def _span(low: float, high: float, near: float, far: float) -> tuple[int, int]:
 
 @inner()
 def _move_end(
-    box: Box, silence: Silence, unit: Floats, k: int, low: Floats, high: Floats, near: int, far: int, blocked: Bools,
-    end: int,
+    box: Box, silence: Silence, unit: Floats, k: int, corners: tuple[Floats, Floats], part: tuple[int, int],
+    blocked: Bools, end: int,
 ) -> int:  # fmt: skip
-    """Step at which a line of sight ends, after the cells between two corners changed."""
-    p, n = silence.position[k], near
+    """Step at which a line of sight ends, after cells between two corners changed, which a part of its steps meets."""
+    (low, high), (n, far), p = corners, part, silence.position[k]
     while n < far and n <= end:
         away = (n + 0.5) * silence.step_m
         x, y, z = p[0] + away * unit[0], p[1] + away * unit[1], p[2] + away * unit[2]
@@ -186,7 +186,7 @@ def look_again(
                         d = (face * SIDE + a) * SIDE + b
                         if end[k, d] >= near:
                             end[k, d] = _move_end(
-                                box, silence, cube.unit[d], k, low, high, near, far, blocked, end[k, d]
+                                box, silence, cube.unit[d], k, (low, high), (near, far), blocked, end[k, d]
                             )
 
 
@@ -238,11 +238,11 @@ def _received(silence: Silence, k: int, d: int, n: int) -> int:
 
 @inner()
 def _count_box(
-    lattice: Box, silence: Silence, k: int, corner: tuple[Floats, Floats], only: int, step: int, before: Ends,
+    lattice: Box, silence: Silence, k: int, corners: tuple[Floats, Floats], part: tuple[int, int], before: Ends,
     after: Ends, looks: Ints,
 ) -> None:  # fmt: skip
     """Count the places between two corners, seen from a keyframe: of all lines of sight, or one of one at one step."""
-    low, high = corner
+    (low, high), (only, step) = corners, part
     x0, x1 = _cells(low[0], high[0], silence.position[k, 0] - lattice.x, lattice.step, lattice.columns)
     y0, y1 = _cells(low[1], high[1], silence.position[k, 1] - lattice.y, lattice.step, lattice.rows)
     z0, z1 = _cells(low[2], high[2], silence.position[k, 2] - lattice.z, lattice.step, lattice.levels)
@@ -292,7 +292,7 @@ def count_silence(lattice: Box, silence: Silence, cube: Cube, before: Ends, afte
             total += abs(after[k, d] - before[k, d])
         if DEAR * total > 8 * (steps * step_m / lattice.step) ** 3 or DEAR * total > looks.shape[1]:
             low[:], high[:] = -steps * step_m, steps * step_m
-            _count_box(lattice, silence, k, (low, high), -1, 0, before[k], after[k], looks)
+            _count_box(lattice, silence, k, (low, high), (-1, 0), before[k], after[k], looks)
             continue
         for d in range(before.shape[1]):
             for n in range(min(before[k, d], after[k, d]), max(before[k, d], after[k, d])):
@@ -300,7 +300,7 @@ def count_silence(lattice: Box, silence: Silence, cube: Cube, before: Ends, afte
                 for axis in range(3):
                     low[axis] = cube.low[d, axis] * (near if cube.low[d, axis] > 0 else far)
                     high[axis] = cube.high[d, axis] * (far if cube.high[d, axis] > 0 else near)
-                _count_box(lattice, silence, k, (low, high), d, n, before[k], after[k], looks)
+                _count_box(lattice, silence, k, (low, high), (d, n), before[k], after[k], looks)
 
 
 @loop()
