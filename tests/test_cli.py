@@ -200,9 +200,12 @@ def test_a_job_of_an_hour_writes_few_lines_without_a_terminal_and_says_what_is_l
         for second in range(3600):
             now[0] = float(second)
             bar(now[0])
+        now[0] = 36000.0
+        bar(3610.0)  # a flight lands later than planned
     said = capsys.readouterr().out.splitlines()
     assert said[:2] == ["mapping", "mapping: 1 %, 0:59:39 left"]
-    assert len(said) < 8
+    assert said[-1] == "mapping: 100 %"
+    assert len(said) < 9
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ class ProgressBar:
         if self.first is None:
             self.first = done, now
         rate = (done - self.first[0]) / max(now - self.first[1], 1e-9)
-        if rate <= 0 or self.total is None:
+        if rate <= 0 or self.total is None or done > self.total:  # a flight may land late
             return ""
         left = f"{timedelta(seconds=round((self.total - done) / rate))} left"
         return f"{60 * rate:.3g} {self.unit}/min, {left}" if self.rated else left
