@@ -254,6 +254,19 @@ def test_a_stopped_drone_may_go_back_where_it_came_from(bearing_deg: float, clos
     np.testing.assert_allclose(limits[-1].velocity, want / 0.5 * speed, atol=1e-9)
 
 
+def test_after_a_jump_of_the_poses_no_way_back_is_known() -> None:
+    """The places from before it are no longer where they seem to be."""
+    for jump_m, state in ((0.0, "back_off"), (0.2, "stop")):
+        guard = Guard(GuardSpec(), hull_m=HULL_M)
+        for row in range(20):
+            pose = replace(odometry((0.5, 0, 0)), position=np.array([[0.5 * STEP_S * row, 0, 0]]))
+            guard.limit((0.5, 0, 0), sectors(row), pose)
+        near = sectors(20, ("front", 0.6, 0.0))
+        near = replace(near, tracks=replace(near.tracks, cells=np.ones((1, len(CELLS)), bool)))
+        here = replace(odometry(), position=np.array([[0.5 * STEP_S * 19 - jump_m, 0, 0]]))
+        assert guard.limit((-0.5, 0, 0), near, here).state == state
+
+
 def test_a_drone_that_goes_back_stays_on_its_track() -> None:
     """Wherever its pilot wishes to go next, it strays by less than a third of the margin."""
     guard = Guard(GuardSpec(), hull_m=HULL_M)

@@ -29,7 +29,7 @@ State = Literal["free", "limited", "stop", "back_off"]
 _LEAST_SPEED_M_S = 0.1  # below it, a closing speed gives no bearing
 _STOPPED_M_S = 0.03
 _HALF_CELL_RAD = math.radians(2.5)
-_TRACK_M, _CRUMB_M, _CRUMBS = 0.1, 0.05, 64  # width of the track that was flown, its places, and most of them
+_TRACK_M, _STEP_M, _PLACES = 0.1, 0.05, 64  # half width of the track that was flown, between its places, most of them
 _TURNS_RAD = tuple(math.radians(side * turn) for turn in range(0, 90, 15) for side in (1, -1))  # straight on wins a tie
 
 
@@ -62,7 +62,8 @@ class Guard:
         self._last_ns: int | None = None
         self._held = False  # stopped, until there is clearly more room
         self._commands: deque[tuple[int, Floats]] = deque()  # time and velocity in the world of those that may act
-        self._track: deque[Floats] = deque(maxlen=_CRUMBS)  # latest places (3) of the drone [m]
+        self._track: deque[Floats] = deque(maxlen=_PLACES)  # latest places (3) of the drone [m]
+        self._was: tuple[int, Floats] | None = None  # time and place at the last call
 
     def limit(self, wanted: ArrayLike, sectors: ObstacleSectors, odometry: Trajectory | None) -> Limit:
         """Return the velocity to fly now.
@@ -83,10 +84,10 @@ class Guard:
         world_from_level, own = _level(odometry)
         table = self._table(own, sectors, world_from_level)
         limit = self._limit(want, own, sectors, table, world_from_level)
+        self._note(sectors.t_ns, odometry)
         if limit.state in ("stop", "back_off") and self._retraces(want, own, sectors, table, odometry):
             speed = min(self.spec.back_off_m_s, float(np.linalg.norm(want)))
             limit = replace(limit, velocity=want / np.linalg.norm(want) * speed, state="back_off")
-        self._note(odometry.position[-1])
         self._commands.append((sectors.t_ns, limit.velocity))
         return limit
 
@@ -127,13 +128,15 @@ class Guard:
         sensor = sectors.sensors[k] if k >= 0 else ""
         return Limit(world_from_level @ own * share, "free" if share >= 1 else "stop", sensor, free_m)
 
-    def _note(self, here: Floats) -> None:
-        """Remember a place of the track; after a jump of the poses only the new ones."""
-        away_m = float(np.linalg.norm(here - self._track[-1])) if self._track else math.inf
-        if away_m > _CRUMBS * _CRUMB_M:
+    def _note(self, t_ns: int, odometry: Trajectory) -> None:
+        """Remember a place of the track, and forget the track where poses move otherwise than their velocity says."""
+        here, velocity = np.array(odometry.position[-1]), odometry.rates[0][-1]
+        then_ns, then = self._was or (t_ns, here)
+        self._was = t_ns, here
+        if np.linalg.norm(here - then - velocity * (t_ns - then_ns) * 1e-9) > _TRACK_M:
             self._track.clear()
-        if away_m >= _CRUMB_M:
-            self._track.append(np.array(here))
+        if not self._track or np.linalg.norm(here - self._track[-1]) >= _STEP_M:
+            self._track.append(here)
 
     def _retraces(
         self, want: Floats, own: Floats, sectors: ObstacleSectors, table: _Table, odometry: Trajectory
