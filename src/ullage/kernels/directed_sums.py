@@ -21,6 +21,17 @@ class Patterns(NamedTuple):
 
 
 @inner()
+def cube_place(x: float, y: float, z: float) -> tuple[int, float, float]:
+    """Face that a direction meets on the cube of directions, +x -x +y -y +z -z, and its place there, -1 to 1."""
+    size = max(abs(x), abs(y), abs(z), 1e-12)
+    if abs(x) >= abs(y) and abs(x) >= abs(z):
+        return (0 if x > 0 else 1), y / size, z / size
+    if abs(y) >= abs(z):
+        return (2 if y > 0 else 3), x / size, z / size
+    return (4 if z > 0 else 5), x / size, y / size
+
+
+@inner()
 def pattern_gain(cube: Floats, turn: Floats, unit: Floats) -> float:
     """Two-way amplitude gain of a sensor in a direction of the world.
 
@@ -32,16 +43,11 @@ def pattern_gain(cube: Floats, turn: Floats, unit: Floats) -> float:
     x = turn[0, 0] * unit[0] + turn[1, 0] * unit[1] + turn[2, 0] * unit[2]
     y = turn[0, 1] * unit[0] + turn[1, 1] * unit[1] + turn[2, 1] * unit[2]
     z = turn[0, 2] * unit[0] + turn[1, 2] * unit[1] + turn[2, 2] * unit[2]
-    size, half = max(abs(x), abs(y), abs(z)), 0.5 * (cube.shape[1] - 1)
-    if size < 1e-9:
+    half = 0.5 * (cube.shape[1] - 1)
+    if max(abs(x), abs(y), abs(z)) < 1e-9:
         return 0.0
-    if abs(x) >= abs(y) and abs(x) >= abs(z):
-        face, a, b = (0 if x > 0 else 1), y, z
-    elif abs(y) >= abs(z):
-        face, a, b = (2 if y > 0 else 3), x, z
-    else:
-        face, a, b = (4 if z > 0 else 5), x, y
-    one = cube[face, int((a / size + 1) * half + 0.5), int((b / size + 1) * half + 0.5)]
+    face, a, b = cube_place(x, y, z)
+    one = cube[face, int((a + 1) * half + 0.5), int((b + 1) * half + 0.5)]
     return one * one
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Floats, Ints, Longs
-from ullage.kernels.directed_sums import Patterns, pattern_gain
+from ullage.kernels.directed_sums import Patterns, cube_place, pattern_gain
 from ullage.kernels.loops import inner, loop
 from ullage.kernels.volume_cells import BODY_M, Box, cell_of
 
@@ -63,14 +63,8 @@ class Hearing(NamedTuple):
 @inner()
 def _sight(x: float, y: float, z: float) -> int:
     """Number of the line of sight whose cell of the cube holds a direction."""
-    size = max(abs(x), abs(y), abs(z), 1e-12)
-    if abs(x) >= abs(y) and abs(x) >= abs(z):
-        face, a, b = (0 if x > 0 else 1), y, z
-    elif abs(y) >= abs(z):
-        face, a, b = (2 if y > 0 else 3), x, z
-    else:
-        face, a, b = (4 if z > 0 else 5), x, y
-    i, j = int((a / size + 1) * 0.5 * SIDE), int((b / size + 1) * 0.5 * SIDE)
+    face, a, b = cube_place(x, y, z)
+    i, j = int((a + 1) * 0.5 * SIDE), int((b + 1) * 0.5 * SIDE)
     return (face * SIDE + min(i, SIDE - 1)) * SIDE + min(j, SIDE - 1)
 
 
