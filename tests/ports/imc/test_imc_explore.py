@@ -23,7 +23,7 @@ def explore(peer: Peer, time_s: float, **more: Any) -> ul.Explored:
 def test_a_vehicle_explores_by_references_and_its_plan_is_stopped() -> None:
     copter = Copter((0.0, 0.0, 0.0))
     with Peer(react=copter.react, tick=copter.tick) as peer:
-        explored = explore(peer, 20.0)
+        explored = explore(peer, 30.0)  # on a busy machine decisions come late
         time.sleep(0.2)
         references = [packet for packet in peer.heard if packet.name == "Reference"]
     places = np.array(copter.track)
