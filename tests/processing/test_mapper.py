@@ -10,6 +10,7 @@ import ullage as ul
 from ullage.data import Trajectory
 from ullage.geometry import rpy_quat
 from ullage.grids import AMBIGUOUS
+from ullage.processing.occupancy import Mapper
 from ullage.world.scene import Scene
 
 HALL = ul.scenes.room((8.0, 6.0, 40.0))
@@ -287,3 +288,17 @@ def test_a_lying_tank_flown_along_is_not_open():
     free, away = (percent >= 0) & (percent < 50), np.hypot(x, z)
     assert (free & (away > 2.1)).sum() < 0.01 * free.sum(), "4 % were"
     assert free[(away < 0.8) & (abs(y) < 1.5)].mean() > 0.9
+
+
+def test_frames_that_hold_the_own_echo_show_no_surface_beside_the_radar():
+    """What the radar receives of itself is 70 dB above the noise and ends within the blind range."""
+    room, path = ul.scenes.room((8, 6, 3)), loop()
+    path = replace(path, position=np.add(path.position, (0.0, 0.0, 1.2)))
+    frames = ul.simulate(room, path, ul.Rig.preset("thesis-4"), seed=3)
+    mapper = Mapper(replace(GRID, origin_m=(*GRID.origin_m[:2], 1.2)))
+    mapper.update(frames)
+    mapper.finish()
+    assert all(surface.state[0] > 0.7 for surface in mapper.map().surfaces)
+    quality = score(mapper.map(), frames, room)
+    assert quality["flyable_found"] > 0.5
+    assert quality["surface_declared_free"] < 0.01

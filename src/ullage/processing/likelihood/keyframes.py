@@ -65,6 +65,22 @@ class Channel:
     led_ns: int = NEVER_NS  # time of the last row with which it led: it does not lead with that again
     beat_ns: float = 0.0  # time from frame to frame
     second: bool = False  # of its last frame, as of `Row`
+    taken: int = 0  # rows so far
+    own: complex | NDArray[np.inexact] = 0.0  # sum of the samples of these within `BLIND_M`
+    own_power: float = 0.0  # sum of their squares
+
+    def subtract_own(self, samples: NDArray[np.inexact]) -> None:
+        """Subtract what all rows so far have in common within `BLIND_M`, in place.
+
+        What frames still hold of the own echo there would ring in the spectrum that upsampling widens. The mean counts
+        by the share of the power that is coherent from row to row, so echoes that pass stay as they are.
+        """
+        blind = samples[: max(math.ceil((BLIND_M - self.start_m) / (UPSAMPLING * self.bin_m)), 0)]
+        self.taken, self.own = self.taken + 1, self.own + blind
+        self.own_power += float(np.vdot(blind, blind).real)
+        if self.taken > 1 and self.own_power > 0:
+            coherent = float(np.vdot(self.own, self.own).real) / self.own_power  # 1 of noise, `taken` of an own echo
+            blind -= max(coherent - 1, 0.0) / (self.taken - 1) / self.taken * self.own
 
     def count(self, t_ns: int) -> None:
         """Take the time of another frame; those that were lost count, too."""
@@ -149,8 +165,9 @@ class KeyframeSelector:
             if any(self._is_near(row, here, axes[i]) for row in reversed(near)):
                 continue
             near.append((here, axes[i]))
-            samples = np.asarray(part.samples[i])
+            samples = np.array(part.samples[i])
             samples, noise = self._above_noise(samples, channel) if channel.envelope else (samples, _noise(samples))
+            channel.subtract_own(samples)
             given = path.position[i], axes[i], turns[i], _upsampled(samples), noise, gap_ns, channel.second
             row = Row(channel.seen_ns, *given)
             channel.rows.append(row)
