@@ -133,6 +133,7 @@ def main() -> None:
     parser.add_argument("--cost", action="store_true", help="time each profile too")
     parser.add_argument("--to", type=Path, default=Path("random_worlds.csv"))
     parser.add_argument("--publish", metavar="NAME", help="write the table of means to studies/results/NAME.csv")
+    parser.add_argument("--groups", action="store_true", help="means of the tuning and the testing kinds only")
     given = parser.parse_args()
     groups = {"tuning": ul.worlds.TUNING, "testing": ul.worlds.TESTING, "all": ul.worlds.KINDS}
     kinds = groups.get(given.kinds, tuple(given.kinds.split(",")))
@@ -154,6 +155,8 @@ def main() -> None:
             rows.append(row)
             print(", ".join(f"{name} {row[name]}" for name in ("kind", "seed", *TABLE) if row.get(name)), flush=True)
     means = table(rows)
+    if given.groups:
+        means = [row for row in means if row[0] == "kind" or row[0].startswith("all ")]
     print("", *(", ".join(row) for row in means), sep="\n")
     if given.publish:
         print(results.save(given.publish, means, shlex.join(["python", *sys.argv])))
