@@ -80,7 +80,7 @@ class Channel:
         self.own_power += float(np.vdot(blind, blind).real)
         if self.taken > 1 and self.own_power > 0:
             coherent = float(np.vdot(self.own, self.own).real) / self.own_power  # 1 of noise, `taken` of an own echo
-            blind -= max(coherent - 1, 0.0) / (self.taken - 1) / self.taken * self.own
+            blind[:] = blind - max(coherent - 1, 0.0) / (self.taken - 1) / self.taken * self.own
 
     def count(self, t_ns: int) -> None:
         """Take the time of another frame; those that were lost count, too."""
