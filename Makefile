@@ -14,7 +14,7 @@ install = @$(PIP) install --no-compile $(1) > $(VENV)/pip.log 2>&1 || { cat $(VE
 help:
 	@echo "make demo   set up .venv and run the main job: fly the cargo hold, map physical echoes, compare with 2018"
 	@echo "make thesis the same flight as the thesis simulated and mapped it in 2018"
-	@echo "make test   run the tests (under five minutes on two cores)"
+	@echo "make test   run the tests (six to eight minutes on two cores)"
 	@echo "make lint   formatting, style, types, layers"
 	@echo "make slow   the slower tests"
 	@echo "make statements  every statement about the thesis and the errors that break it (24 minutes; make slow: a sample)"

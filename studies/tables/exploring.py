@@ -46,8 +46,8 @@ from ullage.world.scenes import cylinder
 NAME, FLIGHTS, COMMAND = "exploring", "flights/exploring", "python -m studies.tables.exploring"
 RATE_HZ, SPEED_M_S, STEP_M = 10.0, 0.5, 0.1
 LONG = ("sensing.changes.prf_div=64", "sensing.changes.iterations=24")  # no folds in a world longer than 9.87 m
-LATER_S, LATER = 240.0, ", 240 s"  # of flights that have time for the whole world, and the end of their names
-KINDS = ("explorer", "survey", f"explorer{LATER}", f"survey{LATER}", "free space only", "wind", "person walks",
+AMPLE_S, AMPLE = 240.0, ", 240 s"  # time for the whole world, and how the names of such flights end
+KINDS = ("explorer", "survey", f"explorer{AMPLE}", f"survey{AMPLE}", "free space only", "wind", "person walks",
          "radar poses", "radar dies", "IMU jumps")  # fmt: skip
 OPTIONS = {
     "radar poses": ("flight.poses=radar",),
@@ -256,7 +256,7 @@ def main() -> None:
     for name, kind, world, seed in [] if given.summary else wanted:
         if [name, kind] in [row[:2] for row in rows]:
             continue
-        seconds, what = (LATER_S if kind.endswith(LATER) else given.seconds), kind.removesuffix(LATER)
+        seconds, what = (AMPLE_S if kind.endswith(AMPLE) else given.seconds), kind.removesuffix(AMPLE)
         row = survey(world, seed, seconds) if what == "survey" else explore(world, seed, seconds, what)
         rows.append([name, kind, *row])
         print(" | ".join(rows[-1]), flush=True)

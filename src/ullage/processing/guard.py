@@ -29,7 +29,7 @@ State = Literal["free", "limited", "stop", "back_off"]
 _LEAST_SPEED_M_S = 0.1  # below it, a closing speed gives no bearing
 _STOPPED_M_S = 0.03
 _HALF_CELL_RAD = math.radians(2.5)
-_TRACK_M, _STEP_M, _PLACES = 0.1, 0.05, 64  # half width of the track that was flown, between its places, most of them
+_TRACK_M, _STEP_M, _PLACES = 0.1, 0.05, 64  # of the flown track: half width, between its places; most places
 _TURNS_RAD = tuple(math.radians(side * turn) for turn in range(0, 90, 15) for side in (1, -1))  # straight on wins a tie
 
 

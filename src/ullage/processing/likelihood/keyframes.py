@@ -66,7 +66,7 @@ class Channel:
     beat_ns: float = 0.0  # time from frame to frame
     second: bool = False  # of its last frame, as of `Row`
     taken: int = 0  # rows so far
-    own: complex | NDArray[np.inexact] = 0.0  # sum of the samples of these within `BLIND_M`
+    own_sum: complex | NDArray[np.inexact] = 0.0  # sum of the samples of these within `BLIND_M`
     own_power: float = 0.0  # sum of their squares
 
     def subtract_own(self, samples: NDArray[np.inexact]) -> None:
@@ -76,11 +76,12 @@ class Channel:
         by the share of the power that is coherent from row to row, so echoes that pass stay as they are.
         """
         blind = samples[: max(math.ceil((BLIND_M - self.start_m) / (UPSAMPLING * self.bin_m)), 0)]
-        self.taken, self.own = self.taken + 1, self.own + blind
+        self.taken, self.own_sum = self.taken + 1, self.own_sum + blind
         self.own_power += float(np.vdot(blind, blind).real)
         if self.taken > 1 and self.own_power > 0:
-            coherent = float(np.vdot(self.own, self.own).real) / self.own_power  # 1 of noise, `taken` of an own echo
-            blind[:] = blind - max(coherent - 1, 0.0) / (self.taken - 1) / self.taken * self.own
+            # 1 of noise, `taken` of an own echo
+            coherent = float(np.vdot(self.own_sum, self.own_sum).real) / self.own_power
+            blind[:] = blind - max(coherent - 1, 0.0) / (self.taken - 1) / self.taken * self.own_sum
 
     def count(self, t_ns: int) -> None:
         """Take the time of another frame; those that were lost count, too."""
